@@ -1,0 +1,44 @@
+"""What is wrong with a world, told to its author."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+
+class Problem(NamedTuple):
+    """One thing that is wrong with a world."""
+
+    where: tuple[str | int, ...]
+    """The keys and list positions that lead to it, such as ``("obstacles", 2, "box", "height")``."""
+    text: str
+    """What is wrong and what to do; it reads on after ``where``."""
+    at_key: bool = False
+    """Whether the key itself is at fault (it is unknown, say), not its value."""
+
+    def __str__(self) -> str:
+        return f"{key_path(self.where)}: {self.text}" if self.where else self.text
+
+
+class WorldError(ValueError):
+    """A world that breaks the rules of the format; the message lists every problem found, one a line."""
+
+    def __init__(self, problems: Sequence[str]) -> None:
+        super().__init__(tuple(problems))
+        self.problems: tuple[str, ...] = tuple(problems)
+        """One sentence for each problem, with its place."""
+
+    def __str__(self) -> str:
+        return "\n".join(self.problems)
+
+
+def key_path(where: Sequence[str | int]) -> str:
+    """How ``where`` reads in a message.
+
+    >>> key_path(("obstacles", 2, "box", "height"))
+    'obstacles[2].box.height'
+    """
+    text = ""
+    for part in where:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
+    return text

@@ -1,0 +1,286 @@
+"""Planar physics: worlds as Chipmunk spaces in which robots drive, touch, and slide along what they touch.
+
+Free motion is exact. Within a substep the command is constant, so the robot runs along an arc; its body gets the
+*chord's* velocity, and Chipmunk, which moves bodies by velocity times time, ends each substep on the arc.
+
+A robot that has all it can reach in a control period to itself does not need Chipmunk at all: its substeps are
+summed in one vectorised call, with the same result. Only robots near something are simulated.
+
+Chipmunk's step moves the bodies, then finds contacts, then applies forces, then solves contacts for velocities. Thus
+
+- a robot out of contact has its velocity set before the step;
+- a robot in contact gets its command as a force, so that the solver takes away the part that presses into the
+  obstacle before the next step moves the body: it stays out and slides along;
+- on first contact the body has moved into the obstacle by up to a substep's travel (13 mm at 0.65 m/s). It is pushed
+  out along the contact normals, or back to where the substep began where they leave no way out (a narrow corner).
+
+A control period depends on nothing but poses, speeds and commands: robots enter a space when they come near
+something and leave it at the end of the period, and no contact is remembered from one period to the next. So a
+simulation resumes from arrays, and a robot moves in the same way whether it is alone or one of many.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pymunk
+
+from navsim.robot import TURTLEBOT2, Robot, wrap_angle
+from navsim.world import World
+
+_ROBOT, _OBSTACLE = 1, 2  # Chipmunk collision types
+_ROBOTS = pymunk.ShapeFilter(group=1)  # shapes of one group do not collide: robots pass through each other
+_ANYTHING = pymunk.ShapeFilter()
+
+CONTACT_OVERLAP = 0.5e-3
+"""How deep a robot that is pushed out stays in contact, metres: so that the contact holds while it slides."""
+ALLOWED_OVERLAP = 1e-3
+"""Overlap that needs no correction, metres; Chipmunk's ``collision_slop``."""
+
+_HORIZON = 2.0  # metres up to which distances are asked for: farther obstacles need not be looked at
+_PUSHES = 8  # corrections along contact normals before a robot is put back instead
+_MARGIN = 1e-6  # metres by which a clearance must exceed what is needed, far above rounding
+
+
+class Physics:
+    """Robots in worlds, stepped together; robots never touch each other.
+
+    Obstacles and walls whose heights overlap the robot's are static shapes; those that it passes under are left out.
+
+    Args:
+        worlds: the worlds, each simulated in a space of its own that is built when a robot first comes near something.
+        num_robots: how many robots; all stand at the origin of the first world until they are placed.
+        robot: what they are.
+        substep: greatest length of a physics step, seconds.
+
+    Attributes:
+        poses: ``(N, 3)`` float64 x, y (metres) and yaw (radians, in (−π, π]).
+        speeds: ``(N, 2)`` float64, forward (m/s) and turning (rad/s) speed of the wheels.
+        world_index: ``(N,)`` the world that each robot is in.
+    """
+
+    def __init__(
+        self, worlds: Sequence[World], num_robots: int = 1, robot: Robot = TURTLEBOT2, substep: float = 0.02
+    ) -> None:
+        if not (math.isfinite(substep) and substep > 0.0):
+            raise ValueError(f"the physics substep must be a positive number of seconds; got {substep!r}")
+        self.worlds = tuple(worlds)
+        self.robot = robot
+        self.substep = substep
+        self.poses = np.zeros((num_robots, 3))
+        self.speeds = np.zeros((num_robots, 2))
+        self.world_index = np.zeros(num_robots, dtype=np.intp)
+        self._spaces: dict[int, _Space] = {}
+        self._bodies = [_RobotBody(robot) for _ in range(num_robots)]
+        # A distance from the robot's centre within which nothing stands, metres; negative where unknown.
+        self._free_radius = np.full(num_robots, -1.0)
+
+    def place(self, robots: np.ndarray | Sequence[int], world_index: np.ndarray, poses: np.ndarray) -> None:
+        """Puts some robots somewhere, at rest.
+
+        Args:
+            robots: ``(K,)`` indices of robots.
+            world_index: ``(K,)`` or one for all, the worlds to put them into.
+            poses: ``(K, 3)`` x, y (metres) and yaw (radians).
+        """
+        self.poses[robots] = poses
+        self.poses[robots, 2] = wrap_angle(self.poses[robots, 2])
+        self.world_index[robots] = world_index
+        self.speeds[robots] = 0.0
+        self._free_radius[robots] = -1.0
+
+    def drive(self, commands: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:
+        """Lets every robot follow its command for a while.
+
+        Commands beyond the robot's greatest speeds are cut; acceleration limits are met substep by substep. The
+        wheels turn as told whatever the robot touches: one that presses against a wall keeps turning.
+
+        Args:
+            commands: ``(N, 2)`` linear (m/s) and angular (rad/s) commands.
+            duration: seconds; cut into equal substeps of at most ``substep``.
+
+        Returns:
+            ``(N, 3)`` float64 poses afterwards (a copy), and ``(N,)`` bool: the bumper touched something on the way.
+        """
+        substeps = max(1, math.ceil(duration / self.substep - 1e-9))
+        dt = duration / substeps
+        speeds = self._speeds_by_substep(commands, substeps, dt)
+        headings = self.poses[:, 2, None] + np.cumsum(
+            np.insert(speeds[..., 1], 0, 0.0, axis=1) * dt, axis=1
+        )  # (N, substeps + 1); nothing that a round robot without friction touches can turn it
+        velocities = _chord_velocities(speeds, headings[:, :-1], dt)
+        # Summed one by one, as Chipmunk does.
+        track = np.cumsum(np.concatenate([self.poses[:, None, :2], velocities * dt], axis=1), axis=1)
+
+        near = self._near_something(np.abs(speeds[..., 0]).sum(axis=1) * dt)
+        bumper = np.zeros(len(self.poses), dtype=bool)
+        positions = track[:, -1]
+        for world in np.unique(self.world_index[near]):
+            members = near[self.world_index[near] == world]
+            positions[members], bumper[members] = self._space(world).simulate(
+                [self._bodies[member] for member in members], self.poses[members, :2], velocities[members], dt
+            )
+        self.poses[:, :2] = positions
+        self.poses[:, 2] = wrap_angle(headings[:, -1])
+        self.speeds = speeds[:, -1].copy()
+        return self.poses.copy(), bumper
+
+    def state_dict(self) -> dict[str, np.ndarray]:
+        """All that a later ``drive`` depends on, as copies."""
+        return {"poses": self.poses.copy(), "speeds": self.speeds.copy(), "world_index": self.world_index.copy()}
+
+    def load_state_dict(self, state: dict[str, np.ndarray]) -> None:
+        """Continues from a ``state_dict`` of as many robots in the same worlds."""
+        self.poses[:] = state["poses"]
+        self.speeds[:] = state["speeds"]
+        self.world_index[:] = state["world_index"]
+        self._free_radius[:] = -1.0
+
+    def _speeds_by_substep(self, commands: np.ndarray, substeps: int, dt: float) -> np.ndarray:
+        """``(N, substeps, 2)`` speeds: the command, or the ramp towards it."""
+        robot = self.robot
+        greatest = np.array([robot.max_linear_speed, robot.max_angular_speed])
+        targets = np.clip(commands, -greatest, greatest)[:, None, :]
+        limits = [robot.linear_acceleration, robot.angular_acceleration]
+        if limits == [None, None]:
+            return np.broadcast_to(targets, (len(targets), substeps, 2))
+        acceleration = np.array([np.inf if limit is None else limit for limit in limits])
+        change = acceleration * (dt * np.arange(1, substeps + 1)[:, None])
+        start = self.speeds[:, None, :]
+        return start + np.clip(targets - start, -change, change)
+
+    def _near_something(self, travel: np.ndarray) -> np.ndarray:
+        """Indices of the robots that might touch something within ``travel`` (N,) metres.
+
+        Distances are asked for once and then only reduced by what the robot may have moved since, so that a robot in
+        the open asks every few steps. They always err on the safe side: the answer is that of the true distance.
+        """
+        needed = travel + self.robot.radius + _MARGIN
+        for index in np.flatnonzero(self._free_radius < needed):
+            space = self._space(self.world_index[index])
+            self._free_radius[index] = space.distance(self.poses[index, :2]) - _MARGIN / 2
+        near = np.flatnonzero(self._free_radius < needed)
+        self._free_radius -= travel + _MARGIN / 1000  # the latter for rounding
+        self._free_radius[near] = -1.0
+        return near
+
+    def _space(self, world: int) -> _Space:
+        space = self._spaces.get(world)
+        if space is None:
+            space = self._spaces[world] = _Space(self.worlds[world], self.robot)
+        return space
+
+
+def _chord_velocities(speeds: np.ndarray, headings: np.ndarray, dt: float) -> np.ndarray:
+    """Velocities ``(..., 2)``, m/s, that lead along the chords of the arcs that ``speeds`` (..., 2) run in ``dt``."""
+    turn = speeds[..., 1] * dt
+    magnitude = speeds[..., 0] * np.sinc(turn / (2.0 * np.pi))
+    direction = headings + 0.5 * turn
+    return np.stack([magnitude * np.cos(direction), magnitude * np.sin(direction)], axis=-1)
+
+
+class _RobotBody:
+    """A robot's body and its one shape; in a space only while it drives near something."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.body = pymunk.Body(robot.mass, pymunk.moment_for_circle(robot.mass, 0.0, robot.radius))
+        self.shape = pymunk.Circle(self.body, robot.radius)
+        self.shape.collision_type = _ROBOT
+        self.shape.filter = _ROBOTS
+
+    def accelerate_to(self, velocity: tuple[float, float], dt: float) -> None:
+        """Applies the force that makes ``velocity``, m/s, of the present one before contacts are solved."""
+        now = self.body.velocity
+        gain = self.body.mass / dt
+        self.body.force = gain * (velocity[0] - now.x), gain * (velocity[1] - now.y)
+
+
+class _Space:
+    """One world's obstacles, as far as they stand in the robot's way, in a Chipmunk space."""
+
+    def __init__(self, world: World, robot: Robot) -> None:
+        self._space = pymunk.Space()
+        self._space.collision_slop = ALLOWED_OVERLAP  # Chipmunk's default, 0.1, is meant for pixels
+        self._space.collision_bias = 1.0  # none: overlap is corrected at once, in `_push_out`
+        for prism in world.prisms:
+            if prism.overlaps_heights(0.0, robot.height):
+                shape: pymunk.Shape
+                if prism.is_cylinder:
+                    x, y = prism.vertices[0].tolist()
+                    shape = pymunk.Circle(self._space.static_body, prism.radius, (x, y))
+                else:
+                    shape = pymunk.Poly(self._space.static_body, prism.vertices.tolist())
+                shape.collision_type = _OBSTACLE
+                self._space.add(shape)
+        self._space.on_collision(_ROBOT, _OBSTACLE, pre_solve=self._note_contact)
+        self._in_contact: set[pymunk.Shape] = set()
+
+    def distance(self, point: np.ndarray) -> float:
+        """Metres from a point to the nearest obstacle, negative inside one; at most ``_HORIZON``."""
+        x, y = point.tolist()
+        nearest = self._space.point_query_nearest((x, y), _HORIZON, _ANYTHING)
+        return _HORIZON if nearest is None else nearest.distance
+
+    def simulate(
+        self, robots: list[_RobotBody], positions: np.ndarray, velocities: np.ndarray, dt: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Drives K robots through S substeps.
+
+        Args:
+            robots: the K robots' bodies, in no space; they are in none afterwards.
+            positions: ``(K, 2)`` metres.
+            velocities: ``(K, S, 2)`` m/s, the commanded ones of each substep.
+            dt: length of a substep, seconds.
+
+        Returns:
+            ``(K, 2)`` positions afterwards, metres, and ``(K,)`` bool: whether each touched something.
+        """
+        for robot, (x, y) in zip(robots, positions.tolist(), strict=True):
+            robot.body.position = x, y
+            robot.body.force = 0.0, 0.0
+            self._space.add(robot.body, robot.shape)
+        schedules = [[(x, y) for x, y in schedule] for schedule in velocities.tolist()]
+        touched = np.zeros(len(robots), dtype=bool)
+        self._in_contact.clear()
+        for substep in range(velocities.shape[1]):
+            for robot, schedule in zip(robots, schedules, strict=True):
+                if robot.shape in self._in_contact:
+                    robot.accelerate_to(schedule[min(substep + 1, len(schedule) - 1)], dt)
+                else:
+                    robot.body.velocity = schedule[substep]
+            starts = [robot.body.position for robot in robots]
+            self._in_contact.clear()
+            self._space.step(dt)
+            if self._in_contact:
+                for number, robot in enumerate(robots):
+                    if robot.shape in self._in_contact:
+                        touched[number] = True
+                        self._push_out(robot, starts[number])
+        after = np.array([robot.body.position for robot in robots])
+        for robot in robots:
+            self._space.remove(robot.body, robot.shape)
+        return after, touched
+
+    def _note_contact(self, arbiter: pymunk.Arbiter, space: pymunk.Space, data: object) -> None:
+        self._in_contact.add(arbiter.shapes[0])
+
+    def _push_out(self, robot: _RobotBody, start: pymunk.Vec2d) -> None:
+        """Ends an overlap by moving the body along contact normals, the deepest first, or else back to ``start``."""
+        for _ in range(_PUSHES):
+            depth, normal = self._deepest_contact(robot)
+            if depth <= ALLOWED_OVERLAP:
+                return
+            robot.body.position -= normal * (depth - CONTACT_OVERLAP)
+        if self._deepest_contact(robot)[0] > ALLOWED_OVERLAP:
+            robot.body.position = start
+
+    def _deepest_contact(self, robot: _RobotBody) -> tuple[float, pymunk.Vec2d]:
+        """How deep the robot is in an obstacle, metres, and the direction into it; 0 where it touches nothing."""
+        contacts = [info.contact_point_set for info in self._space.shape_query(robot.shape)]
+        depths = [max(-point.distance for point in contact.points) for contact in contacts]
+        if not depths:
+            return 0.0, pymunk.Vec2d.zero()
+        deepest = int(np.argmax(depths))
+        return depths[deepest], contacts[deepest].normal

@@ -1,0 +1,64 @@
+"""A depth image reduced to a planar scan: how far each column sees before something stands in the way."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from navsim.camera import DepthCamera
+
+FLOOR_TOLERANCE = 0.03
+"""Metres above the floor below which a pixel counts as floor: more than one ``uint8`` count at any range."""
+CLEAR_HEIGHT = 0.48
+"""Metres above which a pixel is out of the way: above the robot, and above all that the camera sees within 0.4 m."""
+
+
+def metres(depth: np.ndarray, camera: DepthCamera) -> np.ndarray:
+    """Depth in metres, float32, of images that may be ``uint8`` counts as the networks get them; floats pass through.
+
+    >>> metres(np.array([0, 51, 255], dtype=np.uint8), DepthCamera()).tolist()
+    [0.0, 1.0, 5.0]
+    """
+    depth = np.asarray(depth)
+    if depth.dtype == np.uint8:
+        return depth.astype(np.float32) * np.float32(camera.max_range / 255.0)
+    return depth.astype(np.float32, copy=False)
+
+
+def obstacle_depth(
+    depth: np.ndarray, camera: DepthCamera, *, low: float = FLOOR_TOLERANCE, high: float = CLEAR_HEIGHT
+) -> np.ndarray:
+    """Least planar depth of each column over the pixels that show something between two heights.
+
+    A pixel's height above the floor follows from its depth and its row, so the floor drops out by geometry and so does
+    what hangs above ``high``. "No return" (0) is something nearer than the camera's blind zone: its depth is 0.
+
+    Args:
+        depth: ``(..., H, W)``, ``uint8`` as the networks get it or float metres.
+        camera: whose images they are; H and W are its height and width.
+        low: metres above the floor; lower pixels are floor.
+        high: metres above the floor; higher pixels are out of the way.
+
+    Returns:
+        ``(..., W)`` float32, metres along the optical axis; ``camera.max_range`` where the column is free.
+    """
+    reading = metres(depth, camera)
+    forward = reading if camera.depth == "planar" else reading / camera.ray_lengths
+    slopes = camera.row_slopes.astype(np.float32)[:, None]
+    height = np.float32(camera.mount_z) + slopes * forward
+    obstructs = (reading < camera.max_range) & (height > low) & (height < high)
+    return np.where(obstructs, forward, np.float32(camera.max_range)).min(axis=-2)
+
+
+def scan_points(column_depth: np.ndarray, camera: DepthCamera) -> np.ndarray:
+    """Points of a scan on the floor plane in the robot's frame (x forward, y left).
+
+    Args:
+        column_depth: ``(..., W)`` planar depths, metres.
+        camera: whose columns and mounting they are.
+
+    Returns:
+        ``(..., W, 2)`` metres from the robot's centre.
+    """
+    x = column_depth + camera.mount_x
+    y = column_depth * camera.column_slopes + camera.mount_y
+    return np.stack([x, y], axis=-1)

@@ -1,0 +1,279 @@
+"""Robots in worlds, stepped together: the one door to the simulator."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from navsim.camera import DepthCamera
+from navsim.physics import Physics
+from navsim.raycast import Scene, cast
+from navsim.robot import INITIAL_COMMAND, NUM_ACTIONS, TURTLEBOT2, Robot, apply_actions
+from navsim.task import Episodes, Path, Task, goal_distance, heading, rewards
+from navsim.world import World
+
+
+class Observation(NamedTuple):
+    """What every robot perceives after a reset."""
+
+    depth: np.ndarray
+    """``(N, H, W)`` uint8, the newest depth image as the networks get it: 255 is the camera's ``max_range``"""
+    heading: np.ndarray
+    """``(N,)`` float32, θ, the goal's bearing in the robot's frame, radians in (−π, π]"""
+    pose: np.ndarray
+    """``(N, 3)`` float32, x, y (metres), yaw (radians); for analysis"""
+
+
+class Transition(NamedTuple):
+    """What one step brings every robot. An episode has ended where ``terminated`` or ``truncated`` is set."""
+
+    depth: np.ndarray
+    """``(N, H, W)`` uint8, as in ``Observation``"""
+    heading: np.ndarray
+    """``(N,)`` float32, radians"""
+    pose: np.ndarray
+    """``(N, 3)`` float32, metres and radians"""
+    reward: np.ndarray
+    """``(N,)`` float32"""
+    terminated: np.ndarray
+    """``(N,)`` bool, the goal was reached or the robot collided"""
+    truncated: np.ndarray
+    """``(N,)`` bool, the time is up, and the episode did not terminate in this very step"""
+    success: np.ndarray
+    """``(N,)`` bool, the goal was reached"""
+    collision: np.ndarray
+    """``(N,)`` bool, the robot collided, and did not reach the goal in this very step"""
+    bumper: np.ndarray
+    """``(N,)`` bool, the bumper touched something during the step, whatever else happened"""
+    too_near: np.ndarray
+    """``(N,)`` bool, a pixel is nearer than the task's ``collision_depth``, whatever else happened"""
+
+
+class Simulator:
+    """N robots that navigate in one world or many; they do not see or touch each other.
+
+    Every robot draws its episodes from a random generator of its own, so they do not depend on what the others do or
+    on how many there are.
+
+    Args:
+        worlds: a world for all robots, or several: robot ``i`` is at home in ``worlds[i % len(worlds)]``.
+        num_robots: N.
+        camera: the depth camera.
+        task: the rules of an episode.
+        robot: the robot.
+        seed: of all that is drawn; None for a seed from the operating system.
+        draw_worlds: let each episode draw its world from ``worlds`` instead.
+
+    Attributes:
+        goals: ``(N, 2)`` float64, metres.
+        commands: ``(N, 2)`` float64, linear (m/s) and angular (rad/s) commands in force.
+        steps: ``(N,)`` int64, steps since the episode began.
+        ideal_depth: ``(N, H, W)`` float32, the last images as the ideal sensor sees them, metres.
+
+    Raises:
+        ValueError: for settings that cannot work, in one sentence.
+
+    >>> world = World.from_dict({"format": 1, "size": [7, 7], "starts": [{"at": [-2, 0], "yaw_deg": 0}], "goals": [[2, 0]]})
+    >>> simulator = Simulator(world, num_robots=2, seed=0)
+    >>> simulator.reset().heading.tolist()
+    [0.0, 0.0]
+    >>> transition = simulator.step(np.array([1, 2]))  # faster; turn left
+    >>> transition.reward.round(4).tolist()
+    [0.07, 0.0295]
+    """
+
+    def __init__(
+        self,
+        worlds: World | Sequence[World],
+        num_robots: int = 1,
+        *,
+        camera: DepthCamera | None = None,
+        task: Task | None = None,
+        robot: Robot = TURTLEBOT2,
+        seed: int | None = None,
+        draw_worlds: bool = False,
+    ) -> None:
+        self.worlds = (worlds,) if isinstance(worlds, World) else tuple(worlds)
+        if not self.worlds:
+            raise ValueError("a simulator needs at least one world; got an empty sequence")
+        if num_robots < 1:
+            raise ValueError(f"a simulator needs at least one robot; got num_robots = {num_robots!r}")
+        self.num_robots = num_robots
+        self.camera = camera or DepthCamera()
+        self.task = task or Task()
+        self.task.check_camera(self.camera)
+        self.robot = robot
+        self.draw_worlds = draw_worlds
+        self.goals = np.zeros((num_robots, 2))
+        self.commands = np.tile(np.array(INITIAL_COMMAND), (num_robots, 1))
+        self.steps = np.zeros(num_robots, dtype=np.int64)
+        self.ideal_depth = np.zeros((num_robots, self.camera.height, self.camera.width), dtype=np.float32)
+        self._scene = Scene(self.worlds)
+        self._physics = Physics(self.worlds, num_robots, robot, self.task.substep)
+        self._episodes: dict[int, Episodes] = {}
+        self._start_and_goal = np.full((num_robots, 2), -1)
+        self._ended = np.ones(num_robots, dtype=bool)
+        self.reseed(seed)
+
+    @property
+    def poses(self) -> np.ndarray:
+        """``(N, 3)`` float64, x, y (metres) and yaw (radians)."""
+        return self._physics.poses
+
+    @property
+    def world_index(self) -> np.ndarray:
+        """``(N,)`` the world that each robot is in."""
+        return self._physics.world_index
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """The start and goal of each robot's episode, as ``reset`` takes them."""
+        ends = zip(self._start_and_goal.tolist(), self.world_index.tolist(), strict=True)
+        return tuple(Path(start, goal, world) for (start, goal), world in ends)
+
+    def reseed(self, seed: int | None) -> None:
+        """Starts the robots' random generators afresh; running episodes go on."""
+        sequences = np.random.SeedSequence(seed).spawn(self.num_robots)
+        self._generators = [np.random.default_rng(sequence) for sequence in sequences]
+
+    def reset(self, mask: np.ndarray | None = None, paths: Sequence[Path | None] | None = None) -> Observation:
+        """Begins new episodes.
+
+        Args:
+            mask: ``(N,)`` bool, the robots to reset; all by default.
+            paths: N of them, the starts, goals and worlds to take; None, or None for a robot, draws them.
+
+        Returns:
+            What all N robots perceive, reset or not.
+
+        Raises:
+            ValueError: for a mask or paths of another length, or a path that does not exist.
+        """
+        chosen = np.ones(self.num_robots, dtype=bool) if mask is None else np.asarray(mask)
+        if chosen.shape != (self.num_robots,) or chosen.dtype != bool:
+            raise ValueError(
+                f"the reset mask must be bool of shape ({self.num_robots},); got {chosen.dtype} of shape {chosen.shape}"
+            )
+        if paths is not None and len(paths) != self.num_robots:
+            raise ValueError(f"there must be one path a robot, {self.num_robots} in all; got {len(paths)}")
+        robots = np.flatnonzero(chosen)
+        for robot in robots:
+            self._begin(robot, None if paths is None else paths[robot])
+        if len(robots):
+            self.ideal_depth[robots] = self._look(robots)
+        return Observation(
+            self.camera.to_uint8(self.ideal_depth),
+            heading(self.poses, self.goals).astype(np.float32),
+            self.poses.astype(np.float32),
+        )
+
+    def step(self, actions: np.ndarray) -> Transition:
+        """One control period for every robot.
+
+        Args:
+            actions: ``(N,)`` integers, indices into ``navsim.robot.ACTIONS``.
+
+        Raises:
+            ValueError: for actions that do not exist.
+            RuntimeError: when a robot's episode has ended and it was not reset.
+        """
+        self.commands = apply_actions(self.commands, self._checked(actions))
+        _, bumper = self._physics.drive(self.commands, self.task.control_period)
+        self.steps += 1
+        self.ideal_depth = self._look(np.arange(self.num_robots))
+        too_near = self.ideal_depth.min(axis=(1, 2)) < self.task.collision_depth
+        success = goal_distance(self.poses, self.goals) < self.task.goal_radius
+        collision = (bumper | too_near) & ~success
+        terminated = success | collision
+        truncated = (self.steps >= self.task.max_steps) & ~terminated
+        self._ended = terminated | truncated
+        headings = heading(self.poses, self.goals)
+        return Transition(
+            depth=self.camera.to_uint8(self.ideal_depth),
+            heading=headings.astype(np.float32),
+            pose=self.poses.astype(np.float32),
+            reward=rewards(self.task, self.commands[:, 0], headings, success, collision),
+            terminated=terminated,
+            truncated=truncated,
+            success=success,
+            collision=collision,
+            bumper=bumper,
+            too_near=too_near,
+        )
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that the simulator's future depends on: numpy arrays, and a generator state (a dict) a robot."""
+        return {
+            "physics": self._physics.state_dict(),
+            "commands": self.commands.copy(),
+            "goals": self.goals.copy(),
+            "steps": self.steps.copy(),
+            "start_and_goal": self._start_and_goal.copy(),
+            "ended": self._ended.copy(),
+            "generators": [generator.bit_generator.state for generator in self._generators],
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Goes on from a ``state_dict`` of a simulator with the same settings, bit for bit.
+
+        Raises:
+            ValueError: for a state of another number of robots.
+        """
+        if len(state["steps"]) != self.num_robots:
+            raise ValueError(
+                f"the state holds {len(state['steps'])} robots, but this simulator has {self.num_robots}: "
+                "create it with the same num_robots"
+            )
+        self._physics.load_state_dict(state["physics"])
+        self.commands = np.array(state["commands"], dtype=np.float64)
+        self.goals = np.array(state["goals"], dtype=np.float64)
+        self.steps = np.array(state["steps"], dtype=np.int64)
+        self._start_and_goal = np.array(state["start_and_goal"])
+        self._ended = np.array(state["ended"], dtype=bool)
+        for generator, generator_state in zip(self._generators, state["generators"], strict=True):
+            generator.bit_generator.state = generator_state
+        self.ideal_depth = self._look(np.arange(self.num_robots))
+
+    def _begin(self, robot: int, path: Path | None) -> None:
+        generator = self._generators[robot]
+        if path is not None:
+            world = path.world_index
+            if not 0 <= world < len(self.worlds):
+                raise ValueError(f"path {tuple(path)} is in world {world}, but the worlds are 0 to {len(self.worlds) - 1}")
+        elif self.draw_worlds:
+            world = int(generator.integers(len(self.worlds)))
+        else:
+            world = robot % len(self.worlds)
+        episode = self._episodes_of(world).draw(generator, path)
+        self._physics.place([robot], world, episode.pose)
+        self.goals[robot] = episode.goal
+        self.commands[robot] = INITIAL_COMMAND
+        self.steps[robot] = 0
+        self._start_and_goal[robot] = episode.path[:2]
+        self._ended[robot] = False
+
+    def _episodes_of(self, world: int) -> Episodes:
+        if world not in self._episodes:
+            self._episodes[world] = Episodes(
+                self.worlds[world], world, self._scene, self.camera, self.task, self.robot
+            )
+        return self._episodes[world]
+
+    def _look(self, robots: np.ndarray) -> np.ndarray:
+        """``(K, H, W)`` float32, what the ideal sensors of some robots see, metres."""
+        return self.camera.from_planar(cast(self._scene, self.world_index[robots], self.poses[robots], self.camera))
+
+    def _checked(self, actions: np.ndarray) -> np.ndarray:
+        actions = np.asarray(actions)
+        if actions.shape != (self.num_robots,) or not np.issubdtype(actions.dtype, np.integer):
+            raise ValueError(
+                f"actions must be integers of shape ({self.num_robots},); got {actions.dtype} of shape {actions.shape}"
+            )
+        if actions.min() < 0 or actions.max() >= NUM_ACTIONS:
+            wrong = int(actions[(actions < 0) | (actions >= NUM_ACTIONS)][0])
+            raise ValueError(f"actions must lie between 0 and {NUM_ACTIONS - 1}; got {wrong}")
+        if self._ended.any():
+            raise RuntimeError(f"robot {int(np.argmax(self._ended))} has no running episode: reset it before stepping")
+        return actions

@@ -1,0 +1,288 @@
+"""One navigation episode: where it starts, what it is after, what it earns, and how it ends."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from navsim.camera import DepthCamera
+from navsim.planner import clearance
+from navsim.raycast import Scene, nearest_depth
+from navsim.robot import Robot, wrap_angle
+from navsim.world import World
+
+START_CLEARANCE = 0.05
+"""Free space that a start needs around the robot's base, metres."""
+
+_YAWS = np.deg2rad(np.arange(-175.0, 181.0, 5.0))  # what an open start yaw is drawn from
+_POINTS = 24  # random places tried at a time
+_ROUNDS = 400  # times that they are tried before a world is said to have no room
+_PATIENCE = 40  # times that a random start is tried with the wanted view before the best one seen is taken
+
+
+@dataclass(frozen=True)
+class Task:
+    """The rules of an episode; the defaults are the thesis's (R. Weideman, Cal Poly 2019, section 5.3).
+
+    An episode ends in success within ``goal_radius`` of the goal, or in a collision: the bumper touches something, or
+    a pixel of the ideal depth image is nearer than ``collision_depth``. The goal wins where both happen in one step.
+    ``max_steps`` steps without an end truncate it.
+    """
+
+    goal_radius: float = 0.5
+    """Distance to the goal under which it is reached, metres."""
+    collision_depth: float = 0.4
+    """Depth under which any pixel counts as a collision, metres; 0 leaves it to the bumper."""
+    goal_reward: float = 1.0
+    """Reward of the step that reaches the goal."""
+    collision_reward: float = -1.0
+    """Reward of the step that collides."""
+    progress_weight: float = 1.0
+    """Factor of v·cos(θ)·δt in the reward of any other step, per metre; 5 gives the thesis's equation 4.1 as printed."""
+    step_penalty: float = 0.01
+    """What is taken from the reward of any other step."""
+    control_period: float = 0.2
+    """Time from one action to the next, δt, seconds."""
+    substep: float = 0.02
+    """Greatest length of a physics step, seconds."""
+    max_steps: int = 500
+    """Steps after which an episode is truncated."""
+    start_view: float = 1.0
+    """Free view that a start needs whose yaw is drawn, metres: no obstacle anywhere in the picture is nearer."""
+
+    def __post_init__(self) -> None:
+        for name in ("goal_radius", "control_period", "substep"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"task {name} must be a positive finite number; got {value!r}")
+        for name in ("collision_depth", "start_view"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0.0):
+                raise ValueError(f"task {name} must be a finite number of metres, at least 0; got {value!r}")
+        for name in ("goal_reward", "collision_reward", "progress_weight", "step_penalty"):
+            if not math.isfinite(getattr(self, name)):
+                raise ValueError(f"task {name} must be a finite number; got {getattr(self, name)!r}")
+        if isinstance(self.max_steps, bool) or not isinstance(self.max_steps, int | np.integer) or self.max_steps < 1:
+            raise ValueError(f"task max_steps must be a whole number, at least 1; got {self.max_steps!r}")
+
+    def check_camera(self, camera: DepthCamera) -> None:
+        """Raises ValueError for a camera that sees the bare floor nearer than ``collision_depth``: always a collision."""
+        floor = camera.least_floor_depth
+        if floor < self.collision_depth:
+            raise ValueError(
+                f"the camera sees the floor {floor:.2f} m away, nearer than the task's collision_depth of "
+                f"{self.collision_depth:g} m, so that every step would collide: lower collision_depth, mount the camera "
+                "higher (mount_z) or narrow its vertical_fov_deg"
+            )
+
+
+def heading(poses: np.ndarray, goals: np.ndarray) -> np.ndarray:
+    """The goal's bearing in the robot's frame, θ.
+
+    Args:
+        poses: ``(..., 3)`` x, y (metres) and yaw (radians).
+        goals: ``(..., 2)`` metres.
+
+    Returns:
+        ``(...)`` float64, radians in (−π, π], positive when the goal is to the left.
+
+    >>> heading(np.array([1.0, 1.0, 0.0]), np.array([1.0, 3.0])).round(4).item()
+    1.5708
+    """
+    offset = goals - poses[..., :2]
+    return wrap_angle(np.arctan2(offset[..., 1], offset[..., 0]) - poses[..., 2])
+
+
+def goal_distance(poses: np.ndarray, goals: np.ndarray) -> np.ndarray:
+    """``(...)`` metres from poses ``(..., 2 or more)`` to goals ``(..., 2)``. The robot is never told."""
+    return np.hypot(goals[..., 0] - poses[..., 0], goals[..., 1] - poses[..., 1])
+
+
+def rewards(
+    task: Task, linear_commands: np.ndarray, headings: np.ndarray, success: np.ndarray, collision: np.ndarray
+) -> np.ndarray:
+    """Rewards of one step each: Xie et al. 2017 (arXiv 1706.09829), as the thesis extends it.
+
+    ``v·cos(θ)·δt − 0.01`` pays for moving towards the goal; v is the command during the step and θ the heading at its
+    end, which is what a robot that reads its odometry after each step knows.
+
+    Args:
+        task: the rules.
+        linear_commands: ``(N,)`` v, m/s.
+        headings: ``(N,)`` θ, radians, after the step.
+        success: ``(N,)`` bool.
+        collision: ``(N,)`` bool; ``success`` wins where both hold.
+
+    Returns:
+        ``(N,)`` float32.
+
+    >>> still_going = np.array([False])
+    >>> rewards(Task(), np.array([0.4]), np.array([0.0]), still_going, still_going).tolist()  # 0.4 · 0.2 − 0.01
+    [0.07000000029802322]
+    """
+    progress = task.progress_weight * task.control_period * linear_commands * np.cos(headings)
+    ended = np.where(success, task.goal_reward, task.collision_reward)
+    return np.where(success | collision, ended, progress - task.step_penalty).astype(np.float32)
+
+
+class Path(NamedTuple):
+    """A start and a goal of a world. An index of −1 is a place drawn at random, for worlds that leave it open."""
+
+    start_index: int
+    goal_index: int
+    world_index: int = 0
+
+
+class Episode(NamedTuple):
+    """How an episode begins."""
+
+    path: Path
+    pose: np.ndarray
+    """``(3,)`` x, y (metres), yaw (radians) of the start"""
+    goal: np.ndarray
+    """``(2,)`` metres"""
+
+
+class Episodes:
+    """The episodes of one world: draws starts, yaws and goals.
+
+    Listed starts and goals are paired uniformly, without those pairs that would end at once: a start within
+    ``goal_radius`` of the goal, or one that collides by the depth rule whichever way it may face. Only where nothing
+    else is listed do such pairs occur.
+
+    A listed start without a yaw faces one of 72 directions, uniformly among those with a free view of
+    ``task.start_view``; where there is none, the direction with the longest. Places drawn at random are uniform over
+    the room as far as the robot fits (with 5 cm to spare for a start), is further than ``goal_radius`` from the goal,
+    is connected with it and, for a start, has that free view in the direction that is drawn with it.
+
+    Args:
+        world: the world.
+        world_index: its index in ``scene``.
+        scene: for the ray-caster.
+        camera: what the depth rule sees with.
+        task: the rules.
+        robot: who drives.
+    """
+
+    def __init__(
+        self, world: World, world_index: int, scene: Scene, camera: DepthCamera, task: Task, robot: Robot
+    ) -> None:
+        self._world, self._world_index, self._scene = world, world_index, scene
+        self._camera, self._task, self._robot = camera, task, robot
+        self._starts = np.zeros((0, 3))
+        if not world.random_starts:
+            self._starts = np.array([[*start.at, _radians_or_nan(start.yaw_deg)] for start in world.starts])
+        self._goals = np.zeros((0, 2))
+        if not world.random_goals:
+            self._goals = np.array([goal.at for goal in world.goals], dtype=np.float64)
+
+    def draw(self, generator: np.random.Generator, path: Path | None = None) -> Episode:
+        """How the next episode begins.
+
+        Args:
+            generator: the only source of chance.
+            path: the start and the goal to take; drawn by default.
+
+        Raises:
+            ValueError: for a path that the world does not have, or a world without room for a random place.
+        """
+        if path is None:
+            start_index, goal_index = self._pairs[generator.integers(len(self._pairs))].tolist()
+        else:
+            start_index, goal_index = self._checked(path)
+        goal = self._goals[goal_index] if goal_index >= 0 else None
+        if start_index >= 0:
+            yaws, _ = self._yaws[start_index]
+            pose = np.array([*self._starts[start_index, :2], yaws[generator.integers(len(yaws))]])
+        else:
+            pose = self._random_start(generator, goal)
+        if goal is None:
+            goal = self._random_goal(generator, pose)
+        return Episode(Path(start_index, goal_index, self._world_index), pose, goal)
+
+    def _checked(self, path: Path) -> tuple[int, int]:
+        for kind, index, places in (("start", path.start_index, self._starts), ("goal", path.goal_index, self._goals)):
+            allowed = range(len(places)) if len(places) else (-1,)
+            if index not in allowed:
+                has = f"{kind}s 0 to {len(places) - 1}" if len(places) else f"{kind}s drawn at random, index -1"
+                raise ValueError(f'world "{self._world.name}" has no {kind} {index}: it has {has}')
+        return int(path.start_index), int(path.goal_index)
+
+    @property
+    def _wanted_view(self) -> float:
+        return max(self._task.start_view, self._task.collision_depth)
+
+    def _views(self, poses: np.ndarray) -> np.ndarray:
+        """``(K,)`` float32: least depth of anything but the floor, metres, at most ``_wanted_view``."""
+        world_index = np.full(len(poses), self._world_index)
+        return nearest_depth(self._scene, world_index, poses, self._camera, self._wanted_view)
+
+    @cached_property
+    def _yaws(self) -> list[tuple[np.ndarray, float]]:
+        """For each listed start: the yaws to draw from, radians, and the least view that any of them has, metres."""
+        choices = []
+        for x, y, yaw in self._starts:
+            yaws = _YAWS if math.isnan(yaw) else wrap_angle(np.array([yaw]))
+            views = self._views(np.column_stack([np.full(len(yaws), x), np.full(len(yaws), y), yaws]))
+            best = views == views.max()  # all that are free have the same: the view is cut at the one that is wanted
+            choices.append((yaws[best], float(views.max())))
+        return choices
+
+    @cached_property
+    def _pairs(self) -> np.ndarray:
+        """``(K, 2)`` start and goal index of the pairs to draw from; −1 is a random place."""
+        starts = range(len(self._starts)) if len(self._starts) else [-1]
+        goals = range(len(self._goals)) if len(self._goals) else [-1]
+        pairs = np.array([(start, goal) for start in starts for goal in goals])
+        lasting = np.ones(len(pairs), dtype=bool)
+        if len(self._starts):
+            views = np.array([view for _, view in self._yaws], dtype=np.float32)
+            lasting &= views[pairs[:, 0]] >= self._task.collision_depth
+        if len(self._starts) and len(self._goals):
+            lasting &= goal_distance(self._starts[pairs[:, 0]], self._goals[pairs[:, 1]]) >= self._task.goal_radius
+        return pairs[lasting] if lasting.any() else pairs
+
+    def _random_start(self, generator: np.random.Generator, goal: np.ndarray | None) -> np.ndarray:
+        best_view, best = 0.0, None
+        for attempt in range(_ROUNDS):
+            points = self._random_points(generator, START_CLEARANCE, goal)
+            if len(points):
+                poses = np.column_stack([points, generator.uniform(-math.pi, math.pi, len(points))])
+                views = self._views(poses)
+                first = int(np.argmax(views))
+                if views[first] > best_view:
+                    best_view, best = views[first], poses[first]
+            if best is not None and best_view >= (self._wanted_view if attempt < _PATIENCE else self._task.collision_depth):
+                return best
+        raise ValueError(
+            f'world "{self._world.name}" has no room for a random start: none of {_ROUNDS * _POINTS} places was free'
+        )
+
+    def _random_goal(self, generator: np.random.Generator, start: np.ndarray) -> np.ndarray:
+        for _ in range(_ROUNDS):
+            points = self._random_points(generator, 0.0, start)
+            if len(points):
+                return points[0]
+        raise ValueError(
+            f'world "{self._world.name}" has no room for a random goal: none of {_ROUNDS * _POINTS} places was free and '
+            "connected with the start"
+        )
+
+    def _random_points(self, generator: np.random.Generator, spare: float, other: np.ndarray | None) -> np.ndarray:
+        """``(K, 2)`` places for the robot, K from 0 up, that are connected with ``other`` and far enough from it."""
+        half = self._world.half_size
+        points = generator.uniform(-half, half, (_POINTS, 2))
+        room = clearance(self._world.prisms, points, 0.0, self._robot.height)
+        points = points[room >= self._robot.radius + spare]
+        if other is not None:
+            points = points[goal_distance(points, other[:2]) >= self._task.goal_radius]
+            points = points[connected]
+        return points
+
+
+def _radians_or_nan(degrees: float | None) -> float:
+    return math.nan if degrees is None else math.radians(degrees)

@@ -1,0 +1,629 @@
+"""What a world is: a room, the obstacles in it, and the places where episodes begin and end.
+
+The models below are the world file's format, key by key. Lengths are metres; the origin is the room's centre, x points
+right on a plan, y up, z away from the floor.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import reprlib
+from collections.abc import Iterable, Mapping
+from functools import cached_property
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
+from typing_extensions import Self
+
+from navsim.errors import Problem, WorldError
+from navsim.polygon import convex_pieces, crossing_edges, signed_area
+from navsim.prism import Prism
+from navsim.rules import broken_rules
+
+FORMAT = 1
+"""The version of the world file format that this library reads."""
+SMALLEST_LENGTH = 1e-6
+"""Metres: what is shorter is taken for a slip of the pen."""
+LARGEST_LENGTH = 10_000.0
+"""Metres: what is longer is taken for a slip of the pen."""
+
+Length = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=SMALLEST_LENGTH, le=LARGEST_LENGTH)]
+Coordinate = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-LARGEST_LENGTH, le=LARGEST_LENGTH)]
+Elevation = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=LARGEST_LENGTH)]
+Degrees = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-360.0, le=360.0)]
+Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e6)]
+Point = tuple[Coordinate, Coordinate]
+Name = Annotated[str, Field(strict=True)]
+
+
+class _Settings(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Walls(_Settings):
+    """The four walls of the room; they stand outside its ``size``."""
+
+    height: Length = 2.0
+    """Metres."""
+    thickness: Length = 0.1
+    """Metres."""
+
+
+class Motion(_Settings):
+    """How an obstacle moves: along straight lines from point to point, at a constant speed."""
+
+    path: Annotated[tuple[Point, ...], Field(min_length=2)]
+    """Corners of the way, metres."""
+    speed: Positive
+    """Metres per second."""
+    repeat: Literal["there-and-back", "circuit"] = "there-and-back"
+    """What follows the last point: the same way back, or straight on to the first point."""
+
+
+class Pushable(_Settings):
+    """What makes an obstacle move when it is pushed."""
+
+    mass: Positive
+    """Kilograms."""
+
+
+class _Obstacle(_Settings):
+    kind: ClassVar[str]
+
+    name: Name = ""
+    """What the author calls it; in a :class:`World` it is ``"box 3"`` (kind and place in the file) when not given."""
+    base: Elevation = 0.0
+    """Height of the under side above the floor, metres."""
+    height: Length
+    """Extent above ``base``, metres."""
+    motion: Motion | None = None
+    pushable: Pushable | None = None
+
+    @property
+    def top(self) -> float:
+        """Height of the upper side above the floor, metres."""
+        return self.base + self.height
+
+
+class Box(_Obstacle):
+    """A cuboid, turned about the vertical."""
+
+    kind = "box"
+
+    at: Point
+    """Centre of the footprint, metres."""
+    size: tuple[Length, Length]
+    """Extents along its own x and y axes, metres."""
+    yaw_deg: Degrees = 0.0
+    """Degrees, counter-clockwise."""
+
+    def footprints(self) -> list[tuple[np.ndarray, float]]:
+        """Convex footprints: vertices ``(V, 2)``, metres, and radius, metres."""
+        yaw = math.radians(self.yaw_deg)
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        if self.yaw_deg % 90.0 == 0.0:
+            cos, sin = float(round(cos)), float(round(sin))
+        (x, y), (a, b) = self.at, (0.5 * self.size[0], 0.5 * self.size[1])
+        corners = ((-a, -b), (a, -b), (a, b), (-a, b))
+        return [(np.array([(x + u * cos - v * sin, y + u * sin + v * cos) for u, v in corners]), 0.0)]
+
+
+class Cylinder(_Obstacle):
+    """An upright cylinder."""
+
+    kind = "cylinder"
+
+    at: Point
+    """Centre of the footprint, metres."""
+    radius: Length
+    """Metres."""
+
+    def footprints(self) -> list[tuple[np.ndarray, float]]:
+        """Convex footprints: vertices ``(V, 2)``, metres, and radius, metres."""
+        return [(np.array([self.at]), self.radius)]
+
+
+class Polygon(_Obstacle):
+    """An upright prism over a simple polygon, which may be concave."""
+
+    kind = "polygon"
+
+    points: Annotated[tuple[Point, ...], Field(min_length=3)]
+    """Corners, metres, in either winding."""
+
+    @field_validator("points")
+    @classmethod
+    def _is_simple(cls, points: tuple[Point, ...]) -> tuple[Point, ...]:
+        for i, (a, b) in enumerate(zip(points, (*points[1:], points[0]), strict=True)):
+            if math.dist(a, b) < SMALLEST_LENGTH:
+                raise ValueError(f"points {i + 1} and {(i + 1) % len(points) + 1} are the same; leave one of them out")
+        crossing = crossing_edges(points)
+        if crossing is not None:
+            first, second = (f"{i + 1}-{(i + 1) % len(points) + 1}" for i in crossing)
+            raise ValueError(
+                f"the edges between points {first} and {second} cross or touch; list the corners in order around "
+                "the outline"
+            )
+        if abs(signed_area(points)) < SMALLEST_LENGTH**2:
+            raise ValueError("the points lie on one line; move one of them off it")
+        return points
+
+    def footprints(self) -> list[tuple[np.ndarray, float]]:
+        """Convex footprints: vertices ``(V, 2)``, metres, and radius, metres."""
+        return [(np.array(piece), 0.0) for piece in convex_pieces(self.points)]
+
+
+Obstacle = Box | Cylinder | Polygon
+"""One shape with its settings."""
+
+_SHAPES: dict[str, type[Obstacle]] = {shape.kind: shape for shape in (Box, Cylinder, Polygon)}
+
+
+def _shape_of(entry: object) -> str | None:
+    """The kind of an entry of ``obstacles``; None when its one key is not a shape."""
+    if isinstance(entry, _Obstacle):
+        return entry.kind
+    if isinstance(entry, Mapping) and len(entry) == 1:
+        (kind,) = entry
+        return kind if kind in _SHAPES else None
+    return None
+
+
+def _shape_settings(entry: Any) -> object:
+    return entry if isinstance(entry, _Obstacle) else next(iter(entry.values()))
+
+
+def _point_as_settings(value: object) -> object:
+    return {"at": value} if isinstance(value, (list, tuple)) else value
+
+
+class Start(_Settings):
+    """Where an episode begins."""
+
+    at: Point
+    """Metres."""
+    yaw_deg: Degrees | None = None
+    """Degrees, counter-clockwise from the x axis; None draws it each episode."""
+
+
+class Goal(_Settings):
+    """Where an episode is to end."""
+
+    at: Point
+    """Metres."""
+
+
+def _random_or_list(value: object) -> object:
+    if isinstance(value, str) and value != "random":
+        raise ValueError(f"must be 'random' or a list of points, not {_shown(value)}")
+    if isinstance(value, (list, tuple)) and not value:
+        raise ValueError("is empty; list at least one point such as [0.0, 0.0], or write 'random'")
+    if isinstance(value, (list, tuple, str)):
+        return value
+    raise ValueError(f"must be 'random' or a list of points such as [[0.0, 0.0]], not {_shown(value)}")
+
+
+def _list_or_random(value: object) -> str:
+    return "random" if isinstance(value, str) else "list"
+
+
+_Starts = Annotated[
+    Annotated[tuple[Annotated[Start, BeforeValidator(_point_as_settings)], ...], Tag("list")]
+    | Annotated[Literal["random"], Tag("random")],
+    Discriminator(_list_or_random),
+    BeforeValidator(_random_or_list),
+]
+_Goals = Annotated[
+    Annotated[tuple[Annotated[Goal, BeforeValidator(_point_as_settings)], ...], Tag("list")]
+    | Annotated[Literal["random"], Tag("random")],
+    Discriminator(_list_or_random),
+    BeforeValidator(_random_or_list),
+]
+_Obstacles = tuple[
+    Annotated[
+        Annotated[Box, BeforeValidator(_shape_settings), Tag("box")]
+        | Annotated[Cylinder, BeforeValidator(_shape_settings), Tag("cylinder")]
+        | Annotated[Polygon, BeforeValidator(_shape_settings), Tag("polygon")],
+        Discriminator(_shape_of),
+    ],
+    ...,
+]
+
+
+class _BrokenRulesError(ValueError):
+    """Carries the problems of :func:`navsim.rules.broken_rules` through pydantic."""
+
+    def __init__(self, problems: list[Problem]) -> None:
+        super().__init__("; ".join(map(str, problems)))
+        self.problems = problems
+
+
+class World(_Settings):
+    """A room with obstacles, starts and goals: a world file's content, checked.
+
+    Make one with :func:`navsim.load_world` or :meth:`from_dict`. Worlds are immutable, compare by content, hash
+    cheaply and pickle.
+
+    >>> world = World.from_dict({
+    ...     "format": 1, "size": [4, 4], "starts": [[-1.5, 0]], "goals": [[1.5, 0]],
+    ...     "obstacles": [{"cylinder": {"at": [0, 0], "radius": 0.2, "height": 0.5}}],
+    ... })
+    >>> world
+    World('world', 4 x 4 m, 2 m walls, 1 obstacle, 1 start, 1 goal)
+    >>> [prism.name for prism in world.prisms]
+    ['wall north', 'wall east', 'wall south', 'wall west', 'cylinder 1']
+    """
+
+    format: int
+    name: Annotated[str, Field(strict=True, min_length=1)] = "world"
+    size: tuple[Length, Length]
+    """Extents of the room along x and y, metres."""
+    walls: Walls | None = Walls()
+    """None leaves the floor open."""
+    obstacles: _Obstacles = ()
+    starts: _Starts = "random"
+    """Where episodes begin; ``"random"`` draws a place each episode."""
+    goals: _Goals = "random"
+    """Where episodes are to end; ``"random"`` draws a place each episode."""
+
+    @field_validator("format", mode="before")
+    @classmethod
+    def _format_is_known(cls, value: object) -> object:
+        if isinstance(value, bool) or value != FORMAT:
+            raise ValueError(f"must be {FORMAT}, the one format that this version reads, not {_shown(value)}")
+        return FORMAT
+
+    @field_validator("walls", mode="before")
+    @classmethod
+    def _none_is_a_word(cls, value: object) -> object:
+        if isinstance(value, str):
+            if value != "none":
+                raise ValueError(f"must be 'none' or settings such as {_EXAMPLES['walls']}, not {_shown(value)}")
+            return None
+        return value
+
+    @field_validator("obstacles", mode="before")
+    @classmethod
+    def _is_a_list(cls, value: object) -> object:
+        if not isinstance(value, (list, tuple)):
+            raise ValueError(f"must be a list with one shape an entry, such as '- {_EXAMPLES['box']}'")
+        return value
+
+    @field_validator("obstacles")
+    @classmethod
+    def _have_names(cls, obstacles: tuple[Obstacle, ...]) -> tuple[Obstacle, ...]:
+        return tuple(
+            obstacle if obstacle.name else obstacle.model_copy(update={"name": _default_name(obstacle.kind, i)})
+            for i, obstacle in enumerate(obstacles)
+        )
+
+    @model_validator(mode="after")
+    def _keeps_the_rules(self) -> Self:
+        problems = broken_rules(self)
+        if problems:
+            raise _BrokenRulesError(problems)
+        return self
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> World:
+        """The world that ``data`` describes: what a world file holds, as dicts, lists, numbers and strings.
+
+        Raises:
+            WorldError: with every problem of ``data``, each named by its key.
+        """
+        world, problems = parse_world(data)
+        if world is None:
+            raise WorldError([str(problem) for problem in problems])
+        return world
+
+    def to_dict(self) -> dict[str, Any]:
+        """What a world file holds, without the settings that equal their defaults; :meth:`from_dict` reads it."""
+        data: dict[str, Any] = {"format": self.format, "name": self.name, "size": list(self.size)}
+        if self.walls != Walls():
+            data["walls"] = "none" if self.walls is None else _plain(self.walls)
+        data["obstacles"] = [
+            {obstacle.kind: _plain(obstacle, without_name=obstacle.name == _default_name(obstacle.kind, i))}
+            for i, obstacle in enumerate(self.obstacles)
+        ]
+        for key, places in (("starts", self.starts), ("goals", self.goals)):
+            if isinstance(places, str):
+                data[key] = places
+            else:
+                settings = [_plain(place) for place in places]
+                data[key] = [place["at"] if place.keys() == {"at"} else place for place in settings]
+        return data
+
+    @cached_property
+    def prisms(self) -> tuple[Prism, ...]:
+        """Walls first (north, east, south, west), then the obstacles; a concave polygon is several prisms."""
+        prisms = [*self._wall_prisms()]
+        for i, obstacle in enumerate(self.obstacles):
+            for vertices, radius in obstacle.footprints():
+                vertices.flags.writeable = False
+                prisms.append(Prism(obstacle.name, i, obstacle.base, obstacle.top, vertices, radius))
+        return tuple(prisms)
+
+    def _wall_prisms(self) -> Iterable[Prism]:
+        if self.walls is None:
+            return
+        (x, y), t = self.half_size, self.walls.thickness
+        for side, low, high in (
+            ("north", (-x - t, y), (x + t, y + t)),
+            ("east", (x, -y), (x + t, y)),
+            ("south", (-x - t, -y - t), (x + t, -y)),
+            ("west", (-x - t, -y), (-x, y)),
+        ):
+            vertices = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
+            vertices.flags.writeable = False
+            yield Prism(f"wall {side}", -1, 0.0, self.walls.height, vertices)
+
+    @property
+    def half_size(self) -> np.ndarray:
+        """``(2,)``: the room is ``-half_size <= (x, y) <= half_size``, metres."""
+        return 0.5 * np.array(self.size)
+
+    @property
+    def random_starts(self) -> bool:
+        """Whether each episode draws its start."""
+        return isinstance(self.starts, str)
+
+    @property
+    def random_goals(self) -> bool:
+        """Whether each episode draws its goal."""
+        return isinstance(self.goals, str)
+
+    @property
+    def paths(self) -> tuple[tuple[int, int], ...]:
+        """Every pair (index in ``starts``, index in ``goals``); empty when either is drawn at random."""
+        if isinstance(self.starts, str) or isinstance(self.goals, str):
+            return ()
+        return tuple((i, j) for i in range(len(self.starts)) for j in range(len(self.goals)))
+
+    def __hash__(self) -> int:
+        return hash((self.name, self.size, len(self.obstacles), self.obstacles[:1]))
+
+    def __getstate__(self) -> dict[Any, Any]:
+        """Leaves derived values behind: they are cheaper to make again than to send to another process."""
+        state = super().__getstate__()
+        fields = {key: value for key, value in state["__dict__"].items() if key in type(self).model_fields}
+        return {**state, "__dict__": fields}
+
+    def __repr__(self) -> str:
+        walls = "open floor" if self.walls is None else f"{self.walls.height:g} m walls"
+        starts = "random starts" if isinstance(self.starts, str) else _counted(len(self.starts), "start")
+        goals = "random goals" if isinstance(self.goals, str) else _counted(len(self.goals), "goal")
+        size = f"{self.size[0]:g} x {self.size[1]:g} m"
+        return f"World({self.name!r}, {size}, {walls}, {_counted(len(self.obstacles), 'obstacle')}, {starts}, {goals})"
+
+    __str__ = __repr__
+
+
+def parse_world(data: object, default_name: str = "world") -> tuple[World | None, list[Problem]]:
+    """The world that ``data`` describes, or None with every problem of it.
+
+    Args:
+        data: what a world file holds.
+        default_name: name of a world that ``data`` does not name.
+    """
+    if not isinstance(data, Mapping):
+        return None, [Problem((), f"a world is a mapping with keys such as 'format', not {_shown(data)}")]
+    try:
+        return World.model_validate({"name": default_name, **data}), []
+    except ValidationError as error:
+        details = error.errors(include_url=False)
+    broken = details[0].get("ctx", {}).get("error")
+    if isinstance(broken, _BrokenRulesError):
+        return None, broken.problems
+    problems = _worded(details, data)
+    return None, problems + _rules_broken_by_the_rest(data, problems)
+
+
+def _rules_broken_by_the_rest(data: Mapping[str, Any], problems: list[Problem]) -> list[Problem]:
+    """The geometric rules that ``data`` breaks even without its faulty parts, so that an author sees all at once."""
+    faulty = {problem.where[:2] for problem in problems}
+    rest = {key: value for key, value in data.items() if (key,) not in faulty}
+    kept: dict[str, list[int]] = {}
+    for key in ("obstacles", "starts", "goals"):
+        entries = rest.get(key)
+        if isinstance(entries, (list, tuple)):
+            kept[key] = [i for i in range(len(entries)) if (key, i) not in faulty]
+            rest[key] = [_named(entries[i], i) if key == "obstacles" else entries[i] for i in kept[key]]
+            if not kept[key] and key != "obstacles":
+                return []
+        elif key in data and key not in rest and key != "obstacles":
+            return []
+    try:
+        World.model_validate(rest)
+    except ValidationError as error:
+        broken = error.errors(include_url=False)[0].get("ctx", {}).get("error")
+        if isinstance(broken, _BrokenRulesError):
+            return [problem._replace(where=_renumbered(problem.where, kept)) for problem in broken.problems]
+    return []
+
+
+def _named(entry: Any, position: int) -> object:
+    """An entry of ``obstacles`` that keeps its default name when entries before it are left out."""
+    ((kind, settings),) = entry.items()
+    return {kind: {"name": _default_name(kind, position), **settings}}
+
+
+def _renumbered(where: tuple[str | int, ...], kept: Mapping[str, list[int]]) -> tuple[str | int, ...]:
+    if len(where) > 1 and isinstance(where[0], str) and isinstance(where[1], int) and where[0] in kept:
+        return (where[0], kept[where[0]][where[1]], *where[2:])
+    return where
+
+
+def _default_name(kind: str, position: int) -> str:
+    return f"{kind} {position + 1}"
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def _plain(settings: BaseModel, without_name: bool = False) -> dict[str, Any]:
+    return settings.model_dump(mode="json", exclude_defaults=True, exclude={"name"} if without_name else None)
+
+
+_EXAMPLES = {
+    "format": "format: 1",
+    "size": "size: [7.0, 7.0]",
+    "walls": "{height: 2.0, thickness: 0.1}",
+    "at": "at: [0.0, 0.0]",
+    "height": "height: 0.5",
+    "radius": "radius: 0.2",
+    "points": "points: [[0, 0], [1, 0], [0.4, 0.8]]",
+    "path": "path: [[2, 2], [2, -2]]",
+    "speed": "speed: 0.5",
+    "mass": "mass: 0.35",
+    "box": "box: {at: [1.0, -0.5], size: [0.6, 0.4], height: 0.8}",
+    "cylinder": "cylinder: {at: [-1.0, 1.2], radius: 0.15, height: 0.3}",
+    "polygon": "polygon: {points: [[0, 0], [1, 0], [0.4, 0.8]], height: 1.0}",
+    "starts": "{at: [0.0, 0.0], yaw_deg: 90} or [0.0, 0.0]",
+    "goals": "[2.0, -2.5]",
+    "motion": "{path: [[2, 2], [2, -2]], speed: 0.5}",
+    "pushable": "{mass: 0.35}",
+}
+"""What a key's setting looks like, for the remedies of error messages."""
+
+
+def _worded(details: Iterable[Mapping[str, Any]], data: object) -> list[Problem]:
+    """pydantic's errors in the words of somebody who writes world files."""
+    located = [(_path_in(data, detail["loc"]), detail) for detail in details]
+    misspelt = {
+        (*where[:-1], meant)
+        for where, detail in located
+        if detail["type"] == "extra_forbidden"
+        for meant in _nearest(where[-1], _known_keys(where[:-1]))
+    }
+    return [
+        _word(where, detail)
+        for where, detail in located
+        if detail["type"] != "missing" or (*where, detail["loc"][-1]) not in misspelt
+    ]
+
+
+def _word(where: tuple[str | int, ...], detail: Mapping[str, Any]) -> Problem:
+    kind, value, context = detail["type"], detail["input"], detail.get("ctx", {})
+    shown = _shown(value)
+    example = _EXAMPLES.get(next((str(part) for part in reversed(where) if isinstance(part, str)), ""), "")
+    if kind == "missing":
+        key = detail["loc"][-1]
+        if isinstance(key, int):
+            return Problem(where, f"must be two numbers, not {_shown(value)}")
+        return Problem(where, f"key '{key}' is missing; add '{_EXAMPLES[key]}'")
+    if kind == "extra_forbidden":
+        known = _known_keys(where[:-1])
+        meant = _nearest(where[-1], known)
+        remedy = f"did you mean '{meant[0]}'?" if meant else f"the keys here are {', '.join(known)}"
+        return Problem(where, f"is not a known key; {remedy}", at_key=True)
+    if kind == "union_tag_not_found":
+        return _word_shape(where, value)
+    if kind == "value_error":
+        return Problem(where, str(context["error"]))
+    if kind == "finite_number":
+        return Problem(where, f"must be a finite number, not {shown}")
+    if kind in ("greater_than", "greater_than_equal", "less_than", "less_than_equal"):
+        return Problem(where, f"{_range(kind, context, value)}, not {shown}")
+    if kind == "float_type":
+        return Problem(where, f"must be a number, not {shown}" if not _is_integer(value) else "is too large a number")
+    if kind in ("tuple_type", "too_short", "too_long"):
+        wanted = f"'{example}'" if where[-1] in ("points", "path") else "two numbers such as [1.0, 2.0]"
+        return Problem(where, f"must be {wanted}, not {shown}")
+    if kind == "string_type":
+        return Problem(where, f"must be text, not {shown}; put it in quotes")
+    if kind == "string_too_short":
+        return Problem(where, "is empty; write a name or leave the key out")
+    if kind == "literal_error":
+        return Problem(where, f"must be {context['expected']}, not {shown}")
+    return Problem(where, f"must be settings such as {example}, not {shown}")
+
+
+def _word_shape(where: tuple[str | int, ...], entry: object) -> Problem:
+    """What is wrong with an entry of ``obstacles`` that is not one shape."""
+    if not isinstance(entry, Mapping) or not entry:
+        return Problem(where, f"must be a shape such as '{_EXAMPLES['box']}', not {_shown(entry)}")
+    shapes = [key for key in entry if key in _SHAPES]
+    if len(shapes) > 1:
+        return Problem(
+            where, f"holds {' and '.join(map(repr, shapes))}; give each shape a list entry ('- ') of its own"
+        )
+    if shapes:
+        return Problem(where, f"has keys beside '{shapes[0]}'; indent them below it, as in '{_EXAMPLES[shapes[0]]}'")
+    key = next(iter(entry))
+    meant = _nearest(key, list(_SHAPES))
+    remedy = f"did you mean '{meant[0]}'?" if meant else f"write one of them first, as in '{_EXAMPLES['box']}'"
+    return Problem((*where, key), f"is not a shape (box, cylinder, polygon); {remedy}", at_key=True)
+
+
+def _range(kind: str, context: Mapping[str, Any], value: float) -> str:
+    if kind == "less_than_equal":
+        return f"must be at most {context['le']:g}"
+    if kind == "greater_than":
+        return f"must be greater than {context['gt']:g}"
+    if context["ge"] == SMALLEST_LENGTH:
+        return "must be greater than 0" if value <= 0.0 else f"must be at least {SMALLEST_LENGTH:g}"
+    return f"must be at least {context['ge']:g}"
+
+
+def _path_in(data: object, location: tuple[str | int, ...]) -> tuple[str | int, ...]:
+    """The part of pydantic's ``location`` that names keys and positions of ``data`` itself."""
+    where: list[str | int] = []
+    for part in location:
+        if isinstance(data, Mapping) and part in data:
+            data = data[part]
+        elif isinstance(data, (list, tuple)) and isinstance(part, int) and part < len(data):
+            data = data[part]
+        else:
+            continue
+        where.append(part)
+    return tuple(where)
+
+
+def _known_keys(where: tuple[str | int, ...]) -> list[str]:
+    """The keys of the mapping at ``where``."""
+    models: dict[str | int, type[BaseModel]] = {
+        **_SHAPES,
+        "walls": Walls,
+        "starts": Start,
+        "goals": Goal,
+        "motion": Motion,
+        "pushable": Pushable,
+    }
+    name = next((part for part in reversed(where) if isinstance(part, str)), "")
+    return list(models.get(name, World).model_fields)
+
+
+def _nearest(key: object, known: list[str]) -> list[str]:
+    """The known key that ``key`` probably stands for: a list of one, or an empty one."""
+    return difflib.get_close_matches(str(key).lower(), known, n=1, cutoff=0.6)
+
+
+def _is_integer(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _shown(value: object) -> str:
+    """``value`` as it reads in a message: short, and on one line."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return _REPR.repr(value)
+
+
+_REPR = reprlib.Repr()
+_REPR.maxdict, _REPR.maxlist, _REPR.maxtuple, _REPR.maxlevel = 3, 4, 4, 3
+_REPR.maxstring, _REPR.maxlong, _REPR.maxother = 40, 24, 40

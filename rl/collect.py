@@ -1,0 +1,74 @@
+"""Environments and TorchRL collectors from a run's settings."""
+
+from __future__ import annotations
+
+from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from torchrl.collectors import BaseCollector, Collector
+from torchrl.modules import EGreedyModule
+
+from navsim.world import World
+from navsim.worldfile import load_world
+from rl.config import TrainConfig
+from rl.env import NavEnv
+
+
+def make_env(config: TrainConfig, *, seed: int | None = None) -> NavEnv:
+    """The training environment of a run.
+
+    Args:
+        config: the run's settings.
+        seed: in place of the settings' own.
+
+    Raises:
+        navsim.WorldError: for a world file that cannot be used.
+    """
+    return NavEnv(
+        training_worlds(config),
+        config.num_envs,
+        camera=config.camera,
+        task=config.task,
+        robot=config.robot,
+        seed=config.seed if seed is None else seed,
+    )
+
+
+def training_worlds(config: TrainConfig) -> list[World]:
+    """The worlds to train in; with ``random_paths``, their listed starts and goals are replaced by drawn ones."""
+    worlds = [load_world(path) for path in config.world]
+    if config.random_paths:
+        worlds = [world.model_copy(update={"starts": "random", "goals": "random"}) for world in worlds]
+    return worlds
+
+
+def explorer(actor: TensorDictModuleBase, env: NavEnv, config: TrainConfig) -> TensorDictSequential:
+    """The policy that collects: greedy, but for a share of random actions.
+
+    That share, the last module's ``eps``, falls with every ``step`` of that module, once a batch.
+    """
+    batches = max(1, round(config.epsilon_steps / config.steps_per_batch))
+    exploration = EGreedyModule(
+        env.action_spec,
+        eps_init=float(config.epsilon_start),
+        eps_end=float(config.epsilon_end),
+        annealing_num_steps=batches,
+    )
+    return TensorDictSequential(actor, exploration)
+
+
+def make_collector(env: NavEnv, policy: TensorDictModuleBase, config: TrainConfig, *, total_steps: int) -> BaseCollector:
+    """An in-process collector of batches ``(N, T)`` of ``config.steps_per_batch`` transitions.
+
+    Args:
+        env: the environment.
+        policy: the exploring policy.
+        config: the run's settings.
+        total_steps: transitions to collect before it ends.
+    """
+    return Collector(
+        env,
+        policy,
+        frames_per_batch=config.steps_per_batch,
+        total_frames=total_steps,
+        track_traj_ids=False,
+        use_buffers=False,
+    )

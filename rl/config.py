@@ -1,0 +1,213 @@
+"""Every setting of a training run, its unit, its presets and its checks. This dataclass *is* the command line."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from navsim.camera import DepthCamera
+from navsim.robot import Robot
+from navsim.task import Task
+
+Model = Literal["I", "S"]
+
+
+class ConfigError(ValueError):
+    """Settings that cannot be used; every problem has a line of its own."""
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Train a robot to reach goals, evaluate it in a room it has never seen, and write a report."""
+
+    preset: Literal["fast", "thesis"] = "fast"
+    """Where the other settings start from: "fast" reaches a better policy sooner on two cores; "thesis" is Weideman's
+    experiment, setting by setting."""
+    model: Model = "I"
+    """Network: "I" feeds the heading to the first convolution as a fifth image plane, "S" to the fully connected
+    layers as a scalar."""
+    world: tuple[str, ...] = ("complex_train",)
+    """World files to train in, or names of shipped worlds; with several, each episode draws one."""
+    eval_world: str = "complex_eval"
+    """World file, or name of a shipped world, that evaluations use. It is never trained in."""
+    total_steps: int = 400_000
+    """Environment steps (transitions) to collect in all; one is 0.2 s of one robot."""
+    seed: int = 0
+    """Seed of everything random. Same seed, machine and versions: the same run."""
+    out: Path | None = None
+    """The run's directory; by default runs/PRESET-MODEL-WORLD-seedSEED."""
+
+    camera: DepthCamera = field(default_factory=DepthCamera)
+    """The depth camera."""
+    task: Task = field(default_factory=Task)
+    """Rewards, ends and time limit."""
+    robot: Robot = field(default_factory=Robot)
+    """The robot."""
+
+    num_envs: int = 16
+    """Robots simulated together."""
+    random_paths: bool = True
+    """Whether training draws starts and goals anywhere in the room, not only where the world file lists them."""
+    steps_per_batch: int = 64
+    """Transitions collected between two visits to the learner, all robots together."""
+    steps_per_update: float = 8.0
+    """Transitions collected for each gradient step."""
+    warmup_steps: int = 5_000
+    """Transitions collected before the first gradient step."""
+
+    gamma: float = 0.99
+    """Discount of a reward one step later."""
+    n_step: int = 3
+    """Rewards summed before the value of the state reached is added."""
+    batch_size: int = 64
+    """Transitions a gradient step learns from."""
+    replay_capacity: int = 50_000
+    """Transitions kept for replay."""
+    prioritized: bool = False
+    """Whether transitions are sampled by their last error (Schaul et al. 2016) instead of evenly."""
+    mirror: bool = True
+    """Whether half of each batch is mirrored: image flipped, heading negated, left and right turns swapped."""
+
+    learning_rate: float = 3e-4
+    """Adam's step size."""
+    learning_rate_decay: Literal["none", "cosine"] = "cosine"
+    """How the learning rate falls over the run: not at all, or to zero along half a cosine."""
+    loss_function: Literal["l2", "smooth_l1"] = "smooth_l1"
+    """Penalty of the temporal-difference error: mean squared, or Huber's."""
+    max_grad_norm: float | None = 10.0
+    """Norm that gradients are clipped to; None leaves them."""
+    target_update: Literal["soft", "hard"] = "soft"
+    """How the target network follows: a little at every gradient step, or by a copy now and then."""
+    tau: float = 0.005
+    """Share of the online network taken at each soft update."""
+    hard_update_interval: int = 1_000
+    """Gradient steps between two hard copies."""
+    autocast: Literal["auto", "float32", "bfloat16"] = "auto"
+    """Number format of the networks' multiplications; "auto" takes bfloat16 where the CPU computes in it."""
+
+    epsilon_start: float = 1.0
+    """Share of random actions at the beginning."""
+    epsilon_end: float = 0.02
+    """Share of random actions at the end of the descent."""
+    epsilon_steps: int = 50_000
+    """Transitions over which the share of random actions falls linearly."""
+
+    eval_interval: int = 50_000
+    """Transitions between two evaluations; the best one's weights are kept."""
+    log_interval: int = 4_000
+    """Transitions between two rows of the log."""
+    checkpoint_interval: int = 50_000
+    """Transitions between two checkpoints, from which a run can be resumed."""
+    num_threads: int = 2
+    """CPU threads for the networks."""
+    report: bool = True
+    """Whether a finished run is evaluated beside the baselines and written up as an HTML report."""
+
+    def __post_init__(self) -> None:
+        problems = list(self._problems())
+        if problems:
+            raise ConfigError("\n".join(problems))
+
+    def _problems(self):
+        positive = (
+            "total_steps num_envs steps_per_batch steps_per_update n_step batch_size replay_capacity learning_rate"
+            " hard_update_interval epsilon_steps eval_interval log_interval checkpoint_interval num_threads"
+        )
+        for name in positive.split():
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                yield f"--{_flag(name)} must be positive; got {value}"
+        for name in ("gamma", "epsilon_start", "epsilon_end", "tau"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                yield f"--{_flag(name)} must lie between 0 and 1; got {getattr(self, name)}"
+        if self.seed < 0:
+            yield f"--seed must not be negative; got {self.seed}"
+        if not self.world:
+            yield "--world needs at least one world file or name"
+        if self.epsilon_end > self.epsilon_start:
+            yield f"--epsilon-end ({self.epsilon_end}) must not exceed --epsilon-start ({self.epsilon_start})"
+        if self.steps_per_batch % max(self.num_envs, 1):
+            yield (
+                f"--steps-per-batch ({self.steps_per_batch}) must be a multiple of --num-envs ({self.num_envs}): "
+                "the robots move together"
+            )
+        if self.batch_size > self.replay_capacity:
+            yield f"--batch-size ({self.batch_size}) must not exceed --replay-capacity ({self.replay_capacity})"
+        if not self.batch_size <= self.warmup_steps <= self.replay_capacity:
+            yield (
+                f"--warmup-steps ({self.warmup_steps}) must lie between --batch-size ({self.batch_size}) and "
+                f"--replay-capacity ({self.replay_capacity})"
+            )
+        if self.warmup_steps >= self.total_steps:
+            yield (
+                f"--total-steps ({self.total_steps}) must exceed --warmup-steps ({self.warmup_steps}): "
+                "nothing would be learnt"
+            )
+        if self.max_grad_norm is not None and not self.max_grad_norm > 0:
+            yield f"--max-grad-norm must be positive or None; got {self.max_grad_norm}"
+
+    @property
+    def directory(self) -> Path:
+        """Where the run's files go."""
+        if self.out is not None:
+            return self.out
+        return Path("runs") / f"{self.preset}-{self.model}-{'+'.join(Path(w).stem for w in self.world)}-seed{self.seed}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The settings as plain values, for JSON."""
+        return json.loads(json.dumps(dataclasses.asdict(self), default=str))
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> TrainConfig:
+        """The inverse of ``to_dict``.
+
+        Raises:
+            ConfigError: for keys that are not settings, or values that cannot be used.
+        """
+        values = dict(values)
+        unknown = sorted(set(values) - {setting.name for setting in dataclasses.fields(cls)})
+        if unknown:
+            raise ConfigError(f"unknown settings: {', '.join(unknown)}; was this written by another version?")
+        parts: tuple[tuple[str, type], ...] = (("camera", DepthCamera), ("task", Task), ("robot", Robot))
+        try:
+            for name, part in parts:
+                if name in values:
+                    values[name] = part(**values[name])
+        except TypeError as error:
+            raise ConfigError(f"settings of the {name} cannot be used: {error}") from error
+        if "world" in values:
+            values["world"] = tuple(values["world"])
+        if values.get("out") is not None:
+            values["out"] = Path(values["out"])
+        return cls(**values)
+
+
+def _flag(name: str) -> str:
+    return name.replace("_", "-")
+
+
+PRESETS: dict[str, TrainConfig] = {
+    "fast": TrainConfig(),
+    # Section 5.3 of the thesis; what it leaves open is listed in docs/thesis.md.
+    "thesis": TrainConfig(
+        preset="thesis",
+        num_envs=8,
+        random_paths=False,
+        steps_per_batch=8,
+        steps_per_update=1.0,
+        warmup_steps=1_000,
+        n_step=1,
+        batch_size=8,
+        mirror=False,
+        learning_rate=1e-4,
+        learning_rate_decay="none",
+        loss_function="l2",
+        max_grad_norm=None,
+        tau=0.001,
+        epsilon_end=0.01,
+    ),
+}

@@ -1,0 +1,171 @@
+"""The navigation task as a TorchRL environment."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from navsim.camera import DepthCamera
+from navsim.robot import NUM_ACTIONS, TURTLEBOT2, Robot
+from navsim.simulator import Observation, Simulator
+from navsim.task import Task
+from navsim.world import World
+from navsim.worldfile import load_world
+
+NUM_FRAMES = 4
+"""Depth images in the stack that a policy sees."""
+
+
+class NavEnv(EnvBase):
+    """N robots that look for their goals, as one batched TorchRL environment.
+
+    What a step holds, with its shape (N robots, H x W pixels):
+
+    ==============================  ==========================  ====================================================
+    ``depth``                       uint8 ``(N, 4, H, W)``      oldest image first, the current one last; 255 = 5 m,
+                                                                0 = no return. An episode's first image is repeated.
+    ``heading``                     float32 ``(N, 1)``          bearing of the goal, radians in (-pi, pi], + is left
+    ``action``                      int64 ``(N,)``              one of seven, see ``navsim.robot.ACTIONS``
+    ``reward``                      float32 ``(N, 1)``
+    ``done``, ``terminated``,       bool ``(N, 1)``             ``truncated``: the time limit; ``terminated``: the goal
+    ``truncated``                                               or a collision
+    ``success``, ``collision``      bool ``(N, 1)``             why it ended
+    ``pose``                        float32 ``(N, 3)``          x, y (m), yaw (rad): for analysis, not for policies
+    ==============================  ==========================  ====================================================
+
+    Finished robots are reset one by one through ``"_reset"``, as every TorchRL collector does.
+
+    Args:
+        world: a world, the path of a world file (or the name of a shipped one), or a sequence of either, from which
+            every episode draws its world.
+        num_envs: number of robots, N.
+        camera: image size and everything else about the camera.
+        task: rewards, ends and time limit.
+        robot: its size and limits.
+        seed: of everything drawn at random; ``set_seed`` replaces it. Fresh entropy by default.
+        device: where tensors are put; the simulation runs on the CPU.
+
+    Raises:
+        navsim.WorldError: for a world file that cannot be used.
+        ValueError: for settings that cannot be used.
+
+    >>> env = NavEnv("complex_train", num_envs=2, seed=0)
+    >>> env.rollout(3, break_when_any_done=False)["depth"].shape
+    torch.Size([2, 3, 4, 64, 80])
+    """
+
+    batch_locked = True
+
+    def __init__(
+        self,
+        world: World | str | os.PathLike[str] | Sequence[World | str | os.PathLike[str]],
+        num_envs: int = 1,
+        *,
+        camera: DepthCamera | None = None,
+        task: Task | None = None,
+        robot: Robot = TURTLEBOT2,
+        seed: int | None = None,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        super().__init__(device=device, batch_size=torch.Size([num_envs]))
+        listed = [world] if isinstance(world, World | str | os.PathLike) else list(world)
+        worlds = [entry if isinstance(entry, World) else load_world(entry) for entry in listed]
+        self.simulator = Simulator(
+            worlds,
+            num_envs,
+            camera=camera or DepthCamera(),
+            task=task or Task(),
+            robot=robot,
+            seed=seed,
+            draw_worlds=len(worlds) > 1,
+        )
+        height, width = self.simulator.camera.height, self.simulator.camera.width
+        self._frames = torch.zeros((num_envs, NUM_FRAMES, height, width), dtype=torch.uint8)
+        self._make_specs(num_envs, height, width)
+
+    def _make_specs(self, n: int, height: int, width: int) -> None:
+        flag = Binary(n=1, shape=(n, 1), dtype=torch.bool)
+        self.observation_spec = Composite(
+            depth=Bounded(0, 255, shape=(n, NUM_FRAMES, height, width), dtype=torch.uint8),
+            heading=Bounded(-math.pi, math.pi, shape=(n, 1), dtype=torch.float32),
+            pose=Unbounded(shape=(n, 3), dtype=torch.float32),
+            success=flag.clone(),
+            collision=flag.clone(),
+            shape=(n,),
+        ).to(self.device)
+        self.action_spec = Categorical(NUM_ACTIONS, shape=(n,), dtype=torch.int64).to(self.device)
+        self.reward_spec = Unbounded(shape=(n, 1), dtype=torch.float32).to(self.device)
+        self.done_spec = Composite(
+            done=flag.clone(), terminated=flag.clone(), truncated=flag.clone(), shape=(n,)
+        ).to(self.device)
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs) -> TensorDictBase:
+        mask = None
+        if tensordict is not None and "_reset" in tensordict.keys():
+            mask = tensordict["_reset"].reshape(-1).cpu().numpy()
+        observation = self.simulator.reset(mask)
+        depth = torch.from_numpy(observation.depth)
+        if mask is None:
+            self._frames = depth.unsqueeze(1).repeat(1, NUM_FRAMES, 1, 1)
+        else:
+            self._frames = self._frames.clone()  # the last step's tensors may still be somebody's data
+            chosen = torch.from_numpy(np.flatnonzero(mask))
+            self._frames[chosen] = depth[chosen].unsqueeze(1)
+        false = torch.zeros((*self.batch_size, 1), dtype=torch.bool)
+        return self._pack(
+            observation,
+            success=false,
+            collision=false.clone(),
+            done=false.clone(),
+            terminated=false.clone(),
+            truncated=false.clone(),
+        )
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        moved = self.simulator.step(tensordict["action"].cpu().numpy())
+        self._frames = torch.cat([self._frames[:, 1:], torch.from_numpy(moved.depth).unsqueeze(1)], dim=1)
+        terminated, truncated = _column(moved.terminated), _column(moved.truncated)
+        return self._pack(
+            Observation(moved.depth, moved.heading, moved.pose),
+            reward=_column(moved.reward),
+            success=_column(moved.success),
+            collision=_column(moved.collision),
+            done=terminated | truncated,
+            terminated=terminated,
+            truncated=truncated,
+        )
+
+    def _pack(self, observation: Observation, **others: torch.Tensor) -> TensorDict:
+        packed = TensorDict(
+            {
+                "depth": self._frames,
+                "heading": _column(observation.heading),
+                "pose": torch.from_numpy(observation.pose),
+                **others,
+            },
+            batch_size=self.batch_size,
+        )
+        return packed.to(self.device)
+
+    def _set_seed(self, seed: int | None) -> None:
+        self.simulator.seed(seed)
+
+    def state_dict(self, *args, **kwargs) -> dict:
+        """All that the future depends on: robots, episodes, generators, image stacks."""
+        return {"simulator": self.simulator.state_dict(), "frames": self._frames.clone()}
+
+    def load_state_dict(self, state_dict: dict, *args, **kwargs) -> None:
+        """Goes on exactly where ``state_dict`` was taken."""
+        self.simulator.load_state_dict(state_dict["simulator"])
+        self._frames = state_dict["frames"].clone()
+
+
+def _column(values: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(values).unsqueeze(-1)
