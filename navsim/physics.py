@@ -37,7 +37,7 @@ _ANYTHING = pymunk.ShapeFilter()
 CONTACT_OVERLAP = 0.5e-3
 """How deep a robot that is pushed out stays in contact, metres: so that the contact holds while it slides."""
 ALLOWED_OVERLAP = 1e-3
-"""Overlap that needs no correction, metres; Chipmunk's ``collision_slop``."""
+"""Overlap that needs no correction, metres."""
 
 _HORIZON = 2.0  # metres up to which distances are asked for: farther obstacles need not be looked at
 _PUSHES = 8  # corrections along contact normals before a robot is put back instead
@@ -77,7 +77,7 @@ class Physics:
         # A distance from the robot's centre within which nothing stands, metres; negative where unknown.
         self._free_radius = np.full(num_robots, -1.0)
 
-    def place(self, robots: np.ndarray | Sequence[int], world_index: np.ndarray, poses: np.ndarray) -> None:
+    def place(self, robots: np.ndarray | Sequence[int], world_index: np.ndarray | int, poses: np.ndarray) -> None:
         """Puts some robots somewhere, at rest.
 
         Args:
@@ -202,8 +202,8 @@ class _Space:
 
     def __init__(self, world: World, robot: Robot) -> None:
         self._space = pymunk.Space()
-        self._space.collision_slop = ALLOWED_OVERLAP  # Chipmunk's default, 0.1, is meant for pixels
-        self._space.collision_bias = 1.0  # none: overlap is corrected at once, in `_push_out`
+        # Chipmunk would end overlaps bit by bit, and leave 0.1, its allowance for pixels: `_push_out` does it at once.
+        self._space.collision_bias = 1.0
         for prism in world.prisms:
             if prism.overlaps_heights(0.0, robot.height):
                 shape: pymunk.Shape
@@ -239,7 +239,6 @@ class _Space:
         """
         for robot, (x, y) in zip(robots, positions.tolist(), strict=True):
             robot.body.position = x, y
-            robot.body.force = 0.0, 0.0
             self._space.add(robot.body, robot.shape)
         schedules = [[(x, y) for x, y in schedule] for schedule in velocities.tolist()]
         touched = np.zeros(len(robots), dtype=bool)

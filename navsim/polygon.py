@@ -5,6 +5,7 @@ Points are tuples of floats, not arrays: a footprint has a handful of corners, a
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import mapbox_earcut
@@ -21,7 +22,7 @@ def signed_area(points: Sequence[Vertex]) -> float:
     """
     origin_x, origin_y = points[0]
     total = 0.0
-    for (ax, ay), (bx, by) in zip(points[1:], points[2:], strict=False):
+    for (ax, ay), (bx, by) in itertools.pairwise(points[1:]):
         total += (ax - origin_x) * (by - origin_y) - (bx - origin_x) * (ay - origin_y)
     return 0.5 * total
 

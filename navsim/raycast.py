@@ -192,7 +192,7 @@ def cast(scene: Scene, world_index: np.ndarray, poses: np.ndarray, camera: Depth
         floor = np.where(inverse < 0, np.minimum(-camera.mount_z * inverse, camera.max_range), camera.max_range)
         columns = np.minimum(half.cover.astype(np.float32)[:, None], floor.astype(np.float32))  # (N*W, rows)
         _paint(columns, half, inverse)
-        image[:, rows] = columns.reshape(num_robots, width, -1).swapaxes(1, 2)
+        image[:, rows] = columns.reshape(num_robots, width, len(inverse)).swapaxes(1, 2)
     return image
 
 
@@ -215,7 +215,9 @@ def nearest_depth(
     for half, inverse in zip(traced, (slopes[:climbing], slopes[climbing:]), strict=True):
         if len(inverse):
             cover = half.cover.reshape(len(poses), camera.width).min(axis=1).astype(np.float32)
-            np.minimum(nearest, cover, out=nearest)
+            # What fills falling rows may stand where the last of them has already met the floor.
+            farthest = -camera.mount_z * inverse[0] if inverse[0] < 0 else np.inf
+            np.minimum(nearest, cover, out=nearest, where=cover <= farthest)
             if len(half.column):
                 np.minimum.at(nearest, half.column // camera.width, _depth_by_row(half, inverse).min(axis=1))
     return nearest
@@ -426,8 +428,10 @@ def _trace_polygons(
     # The edge's line: normal . P = offset; negative offsets for edges that face the camera.
     normal_ahead, normal_aside = aside_1 - aside, ahead - ahead_1
     offset = normal_ahead * ahead + normal_aside * aside
+    # So near to a polygon that what is in view may be cut off below counts as inside it.
+    margin = _NEAR * math.hypot(1.0, slopes[0]) * np.hypot(normal_ahead, normal_aside)
     inside = np.zeros(len(needs_far), dtype=bool)
-    inside[polygons] = np.minimum.reduceat(offset, first_vertex) > 0.0
+    inside[polygons] = np.minimum.reduceat(offset + margin, first_vertex) >= 0.0
 
     behind = ahead < _NEAR
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -75,7 +75,8 @@ class Simulator:
     Raises:
         ValueError: for settings that cannot work, in one sentence.
 
-    >>> world = World.from_dict({"format": 1, "size": [7, 7], "starts": [{"at": [-2, 0], "yaw_deg": 0}], "goals": [[2, 0]]})
+    >>> start, goal = {"at": [-2, 0], "yaw_deg": 0}, [2, 0]
+    >>> world = World.from_dict({"format": 1, "size": [7, 7], "starts": [start], "goals": [goal]})
     >>> simulator = Simulator(world, num_robots=2, seed=0)
     >>> simulator.reset().heading.tolist()
     [0.0, 0.0]
@@ -159,7 +160,7 @@ class Simulator:
         if paths is not None and len(paths) != self.num_robots:
             raise ValueError(f"there must be one path a robot, {self.num_robots} in all; got {len(paths)}")
         robots = np.flatnonzero(chosen)
-        for robot in robots:
+        for robot in robots.tolist():
             self._begin(robot, None if paths is None else paths[robot])
         if len(robots):
             self.ideal_depth[robots] = self._look(robots)
@@ -241,7 +242,9 @@ class Simulator:
         if path is not None:
             world = path.world_index
             if not 0 <= world < len(self.worlds):
-                raise ValueError(f"path {tuple(path)} is in world {world}, but the worlds are 0 to {len(self.worlds) - 1}")
+                raise ValueError(
+                    f"path {tuple(path)} is in world {world}, but the worlds are 0 to {len(self.worlds) - 1}"
+                )
         elif self.draw_worlds:
             world = int(generator.integers(len(self.worlds)))
         else:
@@ -256,9 +259,7 @@ class Simulator:
 
     def _episodes_of(self, world: int) -> Episodes:
         if world not in self._episodes:
-            self._episodes[world] = Episodes(
-                self.worlds[world], world, self._scene, self.camera, self.task, self.robot
-            )
+            self._episodes[world] = Episodes(self.worlds[world], world, self._scene, self.camera, self.task, self.robot)
         return self._episodes[world]
 
     def _look(self, robots: np.ndarray) -> np.ndarray:

@@ -42,7 +42,8 @@ class Task:
     collision_reward: float = -1.0
     """Reward of the step that collides."""
     progress_weight: float = 1.0
-    """Factor of v·cos(θ)·δt in the reward of any other step, per metre; 5 gives the thesis's equation 4.1 as printed."""
+    """Factor of v·cos(θ)·δt in the reward of any other step, per metre; 5 is the thesis's equation 4.1 as printed,
+    without δt."""
     step_penalty: float = 0.01
     """What is taken from the reward of any other step."""
     control_period: float = 0.2
@@ -70,13 +71,13 @@ class Task:
             raise ValueError(f"task max_steps must be a whole number, at least 1; got {self.max_steps!r}")
 
     def check_camera(self, camera: DepthCamera) -> None:
-        """Raises ValueError for a camera that sees the bare floor nearer than ``collision_depth``: always a collision."""
+        """Raises ValueError for a camera that sees the bare floor nearer than ``collision_depth``."""
         floor = camera.least_floor_depth
         if floor < self.collision_depth:
             raise ValueError(
                 f"the camera sees the floor {floor:.2f} m away, nearer than the task's collision_depth of "
-                f"{self.collision_depth:g} m, so that every step would collide: lower collision_depth, mount the camera "
-                "higher (mount_z) or narrow its vertical_fov_deg"
+                f"{self.collision_depth:g} m, so that every step would collide: lower collision_depth, "
+                "raise the camera (mount_z) or narrow its vertical_fov_deg"
             )
 
 
@@ -173,12 +174,12 @@ class Episodes:
     ) -> None:
         self._world, self._world_index, self._scene = world, world_index, scene
         self._camera, self._task, self._robot = camera, task, robot
-        self._starts = np.zeros((0, 3))
-        if not world.random_starts:
-            self._starts = np.array([[*start.at, _radians_or_nan(start.yaw_deg)] for start in world.starts])
-        self._goals = np.zeros((0, 2))
-        if not world.random_goals:
-            self._goals = np.array([goal.at for goal in world.goals], dtype=np.float64)
+        starts = () if isinstance(world.starts, str) else world.starts
+        goals = () if isinstance(world.goals, str) else world.goals
+        # A yaw that is left open is NaN; a world that draws its places lists none.
+        yaws = [math.nan if start.yaw_deg is None else math.radians(start.yaw_deg) for start in starts]
+        self._starts = np.array([(*start.at, yaw) for start, yaw in zip(starts, yaws, strict=True)]).reshape(-1, 3)
+        self._goals = np.array([goal.at for goal in goals], dtype=np.float64).reshape(-1, 2)
 
     def draw(self, generator: np.random.Generator, path: Path | None = None) -> Episode:
         """How the next episode begins.
@@ -256,7 +257,9 @@ class Episodes:
                 first = int(np.argmax(views))
                 if views[first] > best_view:
                     best_view, best = views[first], poses[first]
-            if best is not None and best_view >= (self._wanted_view if attempt < _PATIENCE else self._task.collision_depth):
+            if best is not None and best_view >= (
+                self._wanted_view if attempt < _PATIENCE else self._task.collision_depth
+            ):
                 return best
         raise ValueError(
             f'world "{self._world.name}" has no room for a random start: none of {_ROUNDS * _POINTS} places was free'
@@ -268,8 +271,8 @@ class Episodes:
             if len(points):
                 return points[0]
         raise ValueError(
-            f'world "{self._world.name}" has no room for a random goal: none of {_ROUNDS * _POINTS} places was free and '
-            "connected with the start"
+            f'world "{self._world.name}" has no room for a random goal: none of {_ROUNDS * _POINTS} places was '
+            "free and connected with the start"
         )
 
     def _random_points(self, generator: np.random.Generator, spare: float, other: np.ndarray | None) -> np.ndarray:
@@ -280,9 +283,5 @@ class Episodes:
         points = points[room >= self._robot.radius + spare]
         if other is not None:
             points = points[goal_distance(points, other[:2]) >= self._task.goal_radius]
-            points = points[connected]
+            points = points[self._connected(points, other[:2])]
         return points
-
-
-def _radians_or_nan(degrees: float | None) -> float:
-    return math.nan if degrees is None else math.radians(degrees)

@@ -582,20 +582,19 @@ def _path_in(data: object, location: tuple[str | int, ...]) -> tuple[str | int, 
     """The part of pydantic's ``location`` that names keys and positions of ``data`` itself."""
     where: list[str | int] = []
     for part in location:
-        if isinstance(data, Mapping) and part in data:
-            data = data[part]
-        elif isinstance(data, (list, tuple)) and isinstance(part, int) and part < len(data):
-            data = data[part]
-        else:
-            continue
-        where.append(part)
+        keys: Any = data if isinstance(data, Mapping) else range(len(data)) if isinstance(data, (list, tuple)) else ()
+        if part in keys:
+            data = data[part]  # type: ignore[index]
+            where.append(part)
     return tuple(where)
 
 
 def _known_keys(where: tuple[str | int, ...]) -> list[str]:
     """The keys of the mapping at ``where``."""
-    models: dict[str | int, type[BaseModel]] = {
-        **_SHAPES,
+    models: dict[str, type[BaseModel]] = {
+        "box": Box,
+        "cylinder": Cylinder,
+        "polygon": Polygon,
         "walls": Walls,
         "starts": Start,
         "goals": Goal,

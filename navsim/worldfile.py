@@ -1,6 +1,6 @@
 """World files: YAML in, a :class:`World` or errors with line numbers out; and back.
 
-PyYAML's event stream (libyaml where it is installed: a hundred times faster than a parser in Python) is turned into plain
+PyYAML's event stream (made by libyaml, an order of magnitude faster than a parser in Python) is turned into plain
 dicts, lists and scalars here rather than by one of YAML's usual constructors, for three reasons: every value keeps
 its line and column, a key that is written twice is noticed, and scalars follow YAML 1.2, where ``1e-3`` is a number
 and ``no`` is a word.
@@ -8,8 +8,9 @@ and ``no`` is a word.
 
 from __future__ import annotations
 
+import contextlib
 import difflib
-import io
+import gc
 import os
 import re
 from collections.abc import Iterator
@@ -18,7 +19,7 @@ from typing import Any, NamedTuple, NoReturn
 
 import yaml
 
-from navsim.errors import Problem, WorldError, key_path
+from navsim.errors import Problem, WorldError
 from navsim.world import World, parse_world
 
 DEEPEST_NESTING = 50
@@ -29,6 +30,7 @@ LARGEST_FILE = 64 * 2**20
 """Bytes."""
 
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_Dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
 def _shipped_worlds_directory() -> Path:
@@ -78,12 +80,12 @@ def parse_text(content: bytes | str, source: str = "<text>", default_name: str =
     Raises:
         WorldError: when the text breaks the format's rules; with every problem of the text.
     """
-    document = _Document(_decoded(content, source) if isinstance(content, bytes) else content, source)
-    world, problems = parse_world(document.data, default_name)
-    located = [document.located(problem) for problem in problems] + document.problems
-    if located or world is None:
-        located.sort(key=lambda problem: problem.mark)
-        raise WorldError(list(dict.fromkeys(f"{source}:{p.mark.line}:{p.mark.column}: {p.text}" for p in located)))
+    text = _decoded(content, source) if isinstance(content, bytes) else content
+    with _without_garbage_collection():
+        document = _Document(text, source)
+        world, problems = parse_world(document.data, default_name)
+    if world is None or document.problems:
+        document.refuse(problems)
     return world
 
 
@@ -105,11 +107,25 @@ def dump_world(world: World) -> str:
 
 def _flow(value: Any) -> str:
     """``value`` in YAML on one line."""
-    text = yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=10**9, allow_unicode=True)
+    text = yaml.dump(
+        value, Dumper=_Dumper, default_flow_style=True, sort_keys=False, width=2**31 - 1, allow_unicode=True
+    )
     text = text.removesuffix("\n...\n").rstrip("\n")
     if isinstance(value, dict) and len(value) == 1 and isinstance(next(iter(value.values())), dict):
         return text[1:-1]
     return text
+
+
+@contextlib.contextmanager
+def _without_garbage_collection() -> Iterator[None]:
+    """Nothing that is made while a file is read can be freed before it is read: looking for garbage costs a third."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
 
 
 def _find(path: str | os.PathLike[str]) -> Path:
@@ -122,9 +138,8 @@ def _find(path: str | os.PathLike[str]) -> Path:
     meant = difflib.get_close_matches(file.stem, shipped, n=1)
     neighbours = [str(file.with_name(name)) for name in _yaml_files(file.parent)]
     meant = meant or difflib.get_close_matches(str(file), neighbours, n=1)
-    remedy = (
-        f"did you mean '{meant[0]}'?" if meant else f"name a file or one of the shipped worlds: {', '.join(shipped)}"
-    )
+    choice = f"name a file or one of the shipped worlds: {', '.join(shipped)}"
+    remedy = f"did you mean '{meant[0]}'?" if meant else choice
     raise WorldError([f"{path}: there is no such world file; {remedy}"])
 
 
@@ -145,42 +160,34 @@ def _decoded(content: bytes, source: str) -> str:
         raise WorldError([f"{source}:{line}:{column}: {text}"]) from None
 
 
-class _Mark(NamedTuple):
-    """A place in a file, counted from 1 as editors do."""
-
-    line: int
-    column: int
-
-
-class _Located(NamedTuple):
-    mark: _Mark
-    text: str
-
-
-class _Places(NamedTuple):
-    """Where a key and its value stand; a list's entry has its position for a key and no mark of its own."""
-
-    key: _Mark
-    value: _Mark
-
-
 _NULL = {"~", "null", "Null", "NULL"}
 _BOOLEANS = {"true": True, "True": True, "TRUE": True, "false": False, "False": False, "FALSE": False}
 _INTEGER = re.compile(r"[-+]?[0-9]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
-_SPECIAL = re.compile(r"([-+]?)\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+_SPECIAL = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 _TAG = "tag:yaml.org,2002:"
-_CONTAINER_TAGS = {"map": dict, "seq": list}
+_RESOLVED_TAGS = {_TAG + kind for kind in ("int", "float", "bool", "null")}
+
+
+class _Located(NamedTuple):
+    """A problem and its place in the file, counted from 1 as editors do."""
+
+    line: int
+    column: int
+    text: str
 
 
 class _Document:
     """The one document of a YAML text, as plain data, with the place of every value."""
 
     def __init__(self, text: str, source: str) -> None:
-        self.source = source
         self.problems: list[_Located] = []
-        self._places: dict[int, dict[str | int, _Places]] = {}
+        """What is wrong with the text as YAML, where reading could go on."""
+        self._source = source
+        self._marks: dict[int, Any] = {}
+        """By the ``id`` of a mapping: {key: (mark of the key, mark of the value)}; of a list: [mark of each entry]."""
         self._anchors: dict[str, tuple[object, int]] = {}
+        """What each anchor stands for, and of how many values that consists."""
         self._open_anchors: set[str] = set()
         self._count = 0
         self._path: list[str | int] = []
@@ -190,34 +197,39 @@ class _Document:
         except yaml.YAMLError as error:
             self._fail_on_syntax(error)
 
-    def located(self, problem: Problem) -> _Located:
-        """``problem`` with the place of what it names, or of the nearest thing around that."""
+    def refuse(self, problems: list[Problem]) -> NoReturn:
+        """Raises a :class:`WorldError` of ``problems`` and of what is wrong with the text itself, in its order."""
+        located = sorted({*self.problems, *(self._located(problem) for problem in problems)})
+        raise WorldError([f"{self._source}:{line}:{column}: {text}" for line, column, text in located])
+
+    def _located(self, problem: Problem) -> _Located:
         mark, data = self._start, self.data
         for depth, part in enumerate(problem.where):
-            places = self._places[id(data)][part]
-            last = depth == len(problem.where) - 1
-            mark = places.key if last and problem.at_key else places.value
+            mark = self._marks[id(data)][part]
+            if isinstance(data, dict):
+                of_the_key = problem.at_key and depth == len(problem.where) - 1
+                mark = mark[0] if of_the_key else mark[1]
             data = data[part]  # type: ignore[index]
-        return _Located(mark, str(problem))
+        return _Located(mark.line + 1, mark.column + 1, str(problem))
 
     def _read_document(self) -> object:
         next(self._events)
         event = next(self._events)
         if isinstance(event, yaml.StreamEndEvent):
-            self._fail(_Mark(1, 1), "the file is empty; a world needs at least 'format: 1' and 'size: [7.0, 7.0]'")
+            self._fail(event, "the file is empty; a world needs at least 'format: 1' and 'size: [7.0, 7.0]'")
         first = next(self._events)
-        self._start = _mark(first)
+        self._start = first.start_mark
         data = self._read(first)
         next(self._events)
         event = next(self._events)
         if not isinstance(event, yaml.StreamEndEvent):
-            self._fail(_mark(event), "a second document ('---') begins here; put each world in a file of its own")
+            self._fail(event, "a second document ('---') begins here; put each world in a file of its own")
         return data
 
     def _read(self, event: Any) -> object:
         self._count += 1
         if self._count > MOST_VALUES:
-            self._fail(_mark(event), f"the file holds more than {MOST_VALUES} values; split it into several worlds")
+            self._fail(event, f"the file holds more than {MOST_VALUES} values; split it into several worlds")
         if isinstance(event, yaml.AliasEvent):
             return self._read_alias(event)
         if event.anchor is None:
@@ -231,9 +243,9 @@ class _Document:
 
     def _read_alias(self, event: Any) -> object:
         if event.anchor in self._open_anchors:
-            self._fail(_mark(event), f"'*{event.anchor}' stands inside the very thing that it stands for; write it out")
+            self._fail(event, f"'*{event.anchor}' stands inside the very thing that it stands for; write it out")
         if event.anchor not in self._anchors:
-            self._fail(_mark(event), f"'*{event.anchor}' stands for nothing; mark a value before it '&{event.anchor}'")
+            self._fail(event, f"'*{event.anchor}' stands for nothing; mark a value before it with '&{event.anchor}'")
         value, size = self._anchors[event.anchor]
         self._count += size
         return value
@@ -242,18 +254,17 @@ class _Document:
         if isinstance(event, yaml.ScalarEvent):
             return self._read_scalar(event)
         if len(self._path) > DEEPEST_NESTING:
-            self._fail(_mark(event), f"lists and mappings are nested deeper than {DEEPEST_NESTING} levels")
-        kind = "map" if isinstance(event, yaml.MappingStartEvent) else "seq"
-        if event.tag not in (None, "!", _TAG + kind):
+            self._fail(event, f"lists and mappings are nested deeper than {DEEPEST_NESTING} levels; a world needs six")
+        is_mapping = isinstance(event, yaml.MappingStartEvent)
+        if event.tag not in (None, "!", _TAG + ("map" if is_mapping else "seq")):
             self._refuse_tag(event)
-        return self._read_mapping() if kind == "map" else self._read_list()
+        return self._read_mapping() if is_mapping else self._read_list()
 
     def _read_list(self) -> list[object]:
         values: list[object] = []
-        places = self._places[id(values)] = {}
+        marks = self._marks[id(values)] = []
         while not isinstance(event := next(self._events), yaml.SequenceEndEvent):
-            mark = _mark(event)
-            places[len(values)] = _Places(mark, mark)
+            marks.append(event.start_mark)
             self._path.append(len(values))
             values.append(self._read(event))
             self._path.pop()
@@ -261,92 +272,81 @@ class _Document:
 
     def _read_mapping(self) -> dict[str, object]:
         values: dict[str, object] = {}
-        places = self._places[id(values)] = {}
-        merged: list[tuple[_Mark, object]] = []
+        marks = self._marks[id(values)] = {}
+        merges: list[tuple[Any, object]] = []
         while not isinstance(event := next(self._events), yaml.MappingEndEvent):
-            key_mark = _mark(event)
-            key = self._read_key(event)
-            value_event = next(self._events)
+            key, value_event = self._read_key(event), next(self._events)
             self._path.append(key)
-            if _is_blank(value_event):
-                self._report(key_mark, "has no value; write one after the colon, or leave the key out")
             value = self._read(value_event)
-            self._path.pop()
+            if value is None and _is_blank(value_event):
+                self._report(event, "has no value; write one after the colon, or leave the key out")
             if key == "<<":
-                merged.append((key_mark, value))
+                merges.append((event, value))
             elif key in values:
-                first = places[key].key
-                self._path.append(key)
-                self._report(key_mark, f"is given twice, first in line {first.line}; leave one of them out")
-                self._path.pop()
+                first = marks[key][0].line + 1
+                self._report(event, f"is given twice, first in line {first}; leave one of them out")
             else:
                 values[key] = value
-                places[key] = _Places(key_mark, _mark(value_event))
-        for mark, value in merged:
-            self._merge(mark, value, values, places)
+                marks[key] = (event.start_mark, value_event.start_mark)
+            self._path.pop()
+        for event, value in merges:
+            self._merge(event, value, values, marks)
         return values
 
     def _read_key(self, event: Any) -> str:
+        key = None
         if isinstance(event, yaml.AliasEvent):
             key = self._read_alias(event)
         elif isinstance(event, yaml.ScalarEvent):
             key = event.value
-        else:
-            key = None
         if not isinstance(key, str):
-            self._fail(_mark(event), "a key must be a word, not a list or a mapping; put braces '{}' around settings")
+            self._fail(event, "a key must be a word; put quotes around a key, and braces around settings")
         return key
 
-    def _merge(self, mark: _Mark, source: object, values: dict[str, object], places: dict[Any, _Places]) -> None:
+    def _merge(self, event: Any, source: object, values: dict[str, object], marks: dict[str, Any]) -> None:
         """YAML's merge key ``<<``: fills in what ``values`` lacks from one mapping or several, earlier ones first."""
         for mapping in source if isinstance(source, list) else [source]:
             if not isinstance(mapping, dict):
-                self._report(mark, "'<<' must stand before an alias of a mapping, or a list of them")
+                self._report(event, "'<<' takes an alias of a mapping such as '*post', or a list of such aliases")
                 return
             for key, value in mapping.items():
                 if key not in values:
                     values[key] = value
-                    places[key] = self._places[id(mapping)][key]
+                    marks[key] = self._marks[id(mapping)][key]
 
     def _read_scalar(self, event: Any) -> object:
-        text = event.value
-        if event.tag is None and event.implicit[0]:
-            return _resolved(text)
-        kind = (event.tag or "").removeprefix(_TAG)
-        if event.tag in (None, "!") or kind == "str":
-            return text
-        if kind in ("int", "float", "bool", "null"):
-            return _resolved(text)
-        self._refuse_tag(event)
+        tag = event.tag
+        if (tag is None and event.implicit[0]) or tag in _RESOLVED_TAGS:
+            return _resolved(event.value)
+        if tag in (None, "!", _TAG + "str"):
+            return event.value
+        return self._refuse_tag(event)
 
     def _refuse_tag(self, event: Any) -> NoReturn:
         tag = event.tag.replace(_TAG, "!!")
-        self._fail(_mark(event), f"the tag '{tag}' is not read in a world file; write plain numbers, words and lists")
+        self._fail(
+            event, f"the tag '{tag}' is not read in a world file; write plain numbers, words, lists and mappings"
+        )
 
-    def _report(self, mark: _Mark, text: str) -> None:
-        path = key_path(self._path)
-        self.problems.append(_Located(mark, f"{path}: {text}" if path else text))
+    def _report(self, event: Any, text: str) -> None:
+        mark = event.start_mark
+        self.problems.append(_Located(mark.line + 1, mark.column + 1, str(Problem(tuple(self._path), text))))
 
-    def _fail(self, mark: _Mark, text: str) -> NoReturn:
-        path = key_path(self._path)
-        text = f"{path}: {text}" if path else text
-        raise WorldError([f"{self.source}:{mark.line}:{mark.column}: {text}"])
+    def _fail(self, event: Any, text: str) -> NoReturn:
+        """Ends the reading: what follows cannot be understood."""
+        self._report(event, text)
+        self.refuse([])
 
     def _fail_on_syntax(self, error: yaml.YAMLError) -> NoReturn:
+        line, column, found = 1, 1, str(getattr(error, "reason", error))
         if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
-            mark = _Mark(error.problem_mark.line + 1, error.problem_mark.column + 1)
-            begun = f" {error.context}" if error.context else ""
-            if error.context_mark is not None and error.context:
-                begun += f" that begins in line {error.context_mark.line + 1}"
-            self._path.clear()
-            self._fail(mark, f"not YAML: {error.problem}{begun}; check brackets, quotes, colons and indentation here")
-        reason = getattr(error, "reason", str(error))
-        raise WorldError([f"{self.source}:1:1: not YAML: {reason}; save the file as plain text"]) from None
-
-
-def _mark(event: Any) -> _Mark:
-    mark = event.start_mark
-    return _Mark(mark.line + 1, mark.column + 1)
+            line, column = error.problem_mark.line + 1, error.problem_mark.column + 1
+            found = " ".join(filter(None, (error.problem, error.context)))
+            if error.context and error.context_mark is not None:
+                found += f" that begins in line {error.context_mark.line + 1}"
+        remedy = "check the brackets, quotes, colons and indentation before this place"
+        self.problems.append(_Located(line, column, f"not YAML: {found}; {remedy}"))
+        self.refuse([])
 
 
 def _is_blank(event: Any) -> bool:

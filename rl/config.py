@@ -21,15 +21,13 @@ class ConfigError(ValueError):
 
 
 @dataclass(frozen=True)
-class TrainConfig:
-    """Train a robot to reach goals, evaluate it in a room it has never seen, and write a report."""
+class Experiment:
+    """What is trained, where, and for how long."""
 
     preset: Literal["fast", "thesis"] = "fast"
-    """Where the other settings start from: "fast" reaches a better policy sooner on two cores; "thesis" is Weideman's
-    experiment, setting by setting."""
+    """Where the other settings start from: "fast" learns sooner on two cores, "thesis" is Weideman's experiment."""
     model: Model = "I"
-    """Network: "I" feeds the heading to the first convolution as a fifth image plane, "S" to the fully connected
-    layers as a scalar."""
+    """How the network gets the heading: "I" as a fifth image plane, "S" as a scalar beside the image's features."""
     world: tuple[str, ...] = ("complex_train",)
     """World files to train in, or names of shipped worlds; with several, each episode draws one."""
     eval_world: str = "complex_eval"
@@ -41,12 +39,10 @@ class TrainConfig:
     out: Path | None = None
     """The run's directory; by default runs/PRESET-MODEL-WORLD-seedSEED."""
 
-    camera: DepthCamera = field(default_factory=DepthCamera)
-    """The depth camera."""
-    task: Task = field(default_factory=Task)
-    """Rewards, ends and time limit."""
-    robot: Robot = field(default_factory=Robot)
-    """The robot."""
+
+@dataclass(frozen=True)
+class Collection:
+    """How transitions are collected, and how many for each gradient step."""
 
     num_envs: int = 16
     """Robots simulated together."""
@@ -58,6 +54,23 @@ class TrainConfig:
     """Transitions collected for each gradient step."""
     warmup_steps: int = 5_000
     """Transitions collected before the first gradient step."""
+
+
+@dataclass(frozen=True)
+class Exploration:
+    """Random actions: their share falls linearly as training goes on."""
+
+    epsilon_start: float = 1.0
+    """Share of random actions at the beginning."""
+    epsilon_end: float = 0.02
+    """Share of random actions at the end of the descent."""
+    epsilon_steps: int = 50_000
+    """Transitions over which the share of random actions falls linearly."""
+
+
+@dataclass(frozen=True)
+class Learning:
+    """Double deep Q-learning from the replay."""
 
     gamma: float = 0.99
     """Discount of a reward one step later."""
@@ -71,7 +84,6 @@ class TrainConfig:
     """Whether transitions are sampled by their last error (Schaul et al. 2016) instead of evenly."""
     mirror: bool = True
     """Whether half of each batch is mirrored: image flipped, heading negated, left and right turns swapped."""
-
     learning_rate: float = 3e-4
     """Adam's step size."""
     learning_rate_decay: Literal["none", "cosine"] = "cosine"
@@ -88,13 +100,13 @@ class TrainConfig:
     """Gradient steps between two hard copies."""
     autocast: Literal["auto", "float32", "bfloat16"] = "auto"
     """Number format of the networks' multiplications; "auto" takes bfloat16 where the CPU computes in it."""
+    num_threads: int = 2
+    """CPU threads for the networks."""
 
-    epsilon_start: float = 1.0
-    """Share of random actions at the beginning."""
-    epsilon_end: float = 0.02
-    """Share of random actions at the end of the descent."""
-    epsilon_steps: int = 50_000
-    """Transitions over which the share of random actions falls linearly."""
+
+@dataclass(frozen=True)
+class Records:
+    """What is kept of a run, and how often."""
 
     eval_interval: int = 50_000
     """Transitions between two evaluations; the best one's weights are kept."""
@@ -102,10 +114,24 @@ class TrainConfig:
     """Transitions between two rows of the log."""
     checkpoint_interval: int = 50_000
     """Transitions between two checkpoints, from which a run can be resumed."""
-    num_threads: int = 2
-    """CPU threads for the networks."""
     report: bool = True
     """Whether a finished run is evaluated beside the baselines and written up as an HTML report."""
+
+
+@dataclass(frozen=True)
+class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
+    """Every setting of a run. The parts it is made of are the groups of ``navsim train --help``.
+
+    Raises:
+        ConfigError: for settings that cannot be used.
+    """
+
+    camera: DepthCamera = field(default_factory=DepthCamera)
+    """The depth camera."""
+    task: Task = field(default_factory=Task)
+    """Rewards, ends and time limit."""
+    robot: Robot = field(default_factory=Robot)
+    """The robot."""
 
     def __post_init__(self) -> None:
         problems = list(self._problems())

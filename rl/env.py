@@ -155,7 +155,7 @@ class NavEnv(EnvBase):
         return packed.to(self.device)
 
     def _set_seed(self, seed: int | None) -> None:
-        self.simulator.seed(seed)
+        self.simulator.reseed(seed)
 
     def state_dict(self, *args, **kwargs) -> dict:
         """All that the future depends on: robots, episodes, generators, image stacks."""

@@ -60,7 +60,9 @@ def test_odd_multiples_of_pi_wrap_to_plus_pi(multiple):
     assert float(wrap_angle(np.array(multiple * math.pi))) == pytest.approx(math.pi)
 
 
-@pytest.mark.parametrize(("linear", "angular"), [(0.4, 0.0), (0.4, 1e-9), (0.2, math.pi / 4), (0.65, -math.pi), (0.0, 1.0)])
+@pytest.mark.parametrize(
+    ("linear", "angular"), [(0.4, 0.0), (0.4, 1e-9), (0.2, math.pi / 4), (0.65, -math.pi), (0.0, 1.0)]
+)
 def test_arcs_agree_with_integrated_unicycle_equations(linear, angular):
     start = np.array([0.3, -0.2, 0.7])
     solution = solve_ivp(

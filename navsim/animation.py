@@ -1,0 +1,249 @@
+"""The animation of one episode: the plan view beside the depth image that the robot sees."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import imageio.v3 as imageio
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle
+from matplotlib.patches import Polygon as PolygonPatch
+from PIL import Image
+
+from navsim.camera import DepthCamera
+from navsim.draw import (
+    ACTION_LABELS,
+    GOAL,
+    INK,
+    OUTCOME_COLOURS,
+    QUIET_INK,
+    ROBOT,
+    VIEW,
+    draw_depth,
+    draw_dial,
+    draw_goal,
+    draw_scale,
+    draw_world,
+    masked_depth,
+)
+from navsim.raycast import render_depth
+from navsim.robot import TURTLEBOT2, Robot
+from navsim.scan import obstacle_depth, scan_points
+from navsim.task import Task, goal_distance, heading
+from navsim.world import World
+
+ANIMATION_SUFFIXES = (".gif", ".mp4")
+"""What :func:`animate_episode` writes."""
+
+_SIZE, _DPI = (9.6, 5.2), 100  # inches and dots an inch: 960 x 520 pixels, both even as MP4 needs them
+_HOLD = 1.0  # seconds that the last frame stays
+
+
+@dataclass(frozen=True)
+class _Episode:
+    world: World
+    poses: np.ndarray
+    goal: np.ndarray
+    actions: Sequence[int] | np.ndarray
+    outcome: str | None
+    camera: DepthCamera
+    task: Task
+    robot: Robot
+
+
+def animate_episode(
+    path: str | Path,
+    world: World,
+    poses: np.ndarray,
+    goal: Sequence[float] | np.ndarray,
+    *,
+    actions: Sequence[int] | np.ndarray = (),
+    outcome: str | None = None,
+    camera: DepthCamera | None = None,
+    task: Task | None = None,
+    robot: Robot = TURTLEBOT2,
+    speed: float = 2.0,
+) -> Path:
+    """Write one episode as a GIF or an MP4: the plan view beside the depth image that the robot sees.
+
+    Args:
+        path: where to write; the suffix, ``.gif`` or ``.mp4``, chooses the format. Its directory is made.
+        world: where the robot drives.
+        poses: ``(K, 3)``, x, y, yaw at the start and after each step.
+        goal: x, y, metres.
+        actions: what was done at each pose, in words beside the picture; may be shorter than ``poses``.
+        outcome: ``"success"``, ``"collision"`` or ``"timeout"``, shown on the last frame, which stays for a second.
+        camera: what the robot sees with.
+        task: its goal radius and control period are shown.
+        robot: drawn to scale.
+        speed: how many times faster than real time it plays.
+
+    Returns:
+        The path.
+
+    Raises:
+        ValueError: for a suffix that is neither of the two, or poses of another shape.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in ANIMATION_SUFFIXES:
+        raise ValueError(f"{path}: animations are written as {' or '.join(ANIMATION_SUFFIXES)}")
+    poses = np.asarray(poses, dtype=np.float64)
+    if poses.ndim != 2 or poses.shape[1] != 3 or len(poses) == 0:
+        raise ValueError(f"poses of shape {poses.shape} make no episode: give (K, 3), x, y and yaw at each time")
+    episode = _Episode(
+        world,
+        poses,
+        np.asarray(goal, dtype=np.float64),
+        actions,
+        outcome,
+        camera or DepthCamera(),
+        task or Task(),
+        robot,
+    )
+    frame_rate = speed / episode.task.control_period
+    path.parent.mkdir(parents=True, exist_ok=True)
+    images = list(_frames(episode))
+    images += [images[-1]] * round(_HOLD * frame_rate)
+    if path.suffix.lower() == ".gif":
+        _write_gif(path, images, frame_rate)
+    else:
+        # yuv420p is what browsers and phones play.
+        imageio.imwrite(
+            path, np.stack(images), fps=frame_rate, codec="libx264", macro_block_size=2, pixelformat="yuv420p"
+        )
+    return path
+
+
+def _frames(episode: _Episode) -> Iterator[np.ndarray]:
+    """RGB images (h, w, 3) uint8, one a pose. What stands still is drawn once; each frame adds what moves."""
+    stage = _Stage(episode)
+    stage.canvas.draw()
+    background = stage.canvas.copy_from_bbox(stage.figure.bbox)
+    for index in range(len(episode.poses)):
+        stage.move_to(index)
+        stage.canvas.restore_region(background)
+        for artist in stage.moving:
+            (artist.axes or stage.figure).draw_artist(artist)
+        yield np.asarray(stage.canvas.buffer_rgba())[..., :3].copy()
+
+
+class _Stage:
+    """The figure, with the artists that move in it."""
+
+    def __init__(self, episode: _Episode) -> None:
+        self._episode = episode
+        camera, poses = episode.camera, episode.poses
+        self._depths = camera.to_uint8(camera.from_planar(render_depth(episode.world, poses, camera)))
+        self._headings = heading(poses, episode.goal)
+        self._distances = goal_distance(poses, episode.goal)
+        self._views = _view_outlines(self._depths, poses, camera)
+        self.figure = Figure(figsize=_SIZE, dpi=_DPI, facecolor="white")
+        self.canvas = FigureCanvasAgg(self.figure)
+        self._lay_out()
+        self.moving = (
+            self._view,
+            self._halo,
+            self._trail,
+            self._body,
+            self._nose,
+            self._image,
+            self._needle,
+            self._words,
+            self._verdict,
+        )
+        for artist in self.moving:
+            artist.set_animated(True)
+
+    def _lay_out(self) -> None:
+        episode, robot = self._episode, self._episode.robot
+        plan = self.figure.add_axes((0.01, 0.02, 0.525, 0.96))
+        draw_world(
+            plan,
+            episode.world,
+            starts=False,
+            goals=False,
+            colour_bar=False,
+            legend=False,
+            camera=episode.camera,
+            robot=robot,
+        )
+        plan.axis("off")
+        goal = (float(episode.goal[0]), float(episode.goal[1]))
+        plan.add_patch(Circle(goal, episode.task.goal_radius, fc=GOAL, ec=GOAL, alpha=0.25, zorder=1.5))
+        draw_goal(plan, goal)
+        plan.plot(*episode.poses[0, :2], marker="o", ms=5, mfc="white", mec=QUIET_INK, zorder=3)
+        self._view = PolygonPatch(self._views[0], fc=VIEW, ec=VIEW, lw=0.8, alpha=0.3, zorder=3.1)
+        self._body = Circle((0, 0), robot.radius, fc=ROBOT, ec=INK, lw=1.1, zorder=4)
+        for patch in (self._view, self._body):
+            plan.add_patch(patch)
+        self._halo = plan.add_line(Line2D([], [], color="white", lw=3.4, alpha=0.8, zorder=3.2))
+        self._trail = plan.add_line(Line2D([], [], color=OUTCOME_COLOURS["success"], lw=1.8, zorder=3.3))
+        self._nose = plan.add_line(Line2D([], [], color=INK, lw=1.4, zorder=4.1))
+
+        sight = self.figure.add_axes((0.56, 0.37, 0.36, 0.56))
+        self._image = draw_depth(sight, self._depths[0], episode.camera, colour_bar=False)
+        draw_scale(sight, self._image, "depth, m")
+        sight.set_title("what the camera sees", fontsize=10, color=INK, loc="left")
+
+        dial = self.figure.add_axes((0.555, 0.03, 0.15, 0.29))
+        draw_dial(dial)
+        self._needle = PolygonPatch(_needle(0.0), fc=GOAL, ec="none")
+        dial.add_patch(self._needle)
+        self._words = self.figure.text(0.725, 0.29, "", fontsize=10, color=INK, va="top", linespacing=1.7)
+        self._verdict = self.figure.text(0.725, 0.09, "", fontsize=13, weight="bold", va="top")
+
+    def move_to(self, index: int) -> None:
+        """Moves every artist to where it is at one of the poses."""
+        episode = self._episode
+        x, y, yaw = episode.poses[index]
+        self._view.set_xy(self._views[index])
+        for line in (self._halo, self._trail):
+            line.set_data(*episode.poses[: index + 1, :2].T)
+        self._body.center = (x, y)
+        radius = episode.robot.radius
+        self._nose.set_data([x, x + radius * math.cos(yaw)], [y, y + radius * math.sin(yaw)])
+        self._image.set_data(masked_depth(self._depths[index], episode.camera))
+        self._needle.set_xy(_needle(self._headings[index]))
+        words = [
+            f"time  {index * episode.task.control_period:.1f} s",
+            f"distance to the goal  {self._distances[index]:.2f} m",
+        ]
+        if index < len(episode.actions):
+            words.append(f"action  {ACTION_LABELS[int(episode.actions[index])]}")
+        self._words.set_text("\n".join(words))
+        if index == len(episode.poses) - 1 and episode.outcome is not None:
+            for artist in (self._verdict, self._trail):
+                artist.set_color(OUTCOME_COLOURS[episode.outcome])
+            self._verdict.set_text(episode.outcome)
+
+
+def _needle(angle: float) -> np.ndarray:
+    """An arrowhead (4, 2) in the unit circle that points ``angle`` radians to the left of upwards."""
+    ahead = np.array([-math.sin(angle), math.cos(angle)])
+    left = np.array([-ahead[1], ahead[0]])
+    return np.stack([0.92 * ahead, 0.3 * ahead + 0.16 * left, 0.42 * ahead, 0.3 * ahead - 0.16 * left])
+
+
+def _view_outlines(depths: np.ndarray, poses: np.ndarray, camera: DepthCamera) -> np.ndarray:
+    """The part of the floor plan that each image sees as free, (K, W + 1, 2) metres in the world's frame."""
+    seen = scan_points(obstacle_depth(depths, camera), camera)
+    eye = np.broadcast_to([camera.mount_x, camera.mount_y], (len(poses), 1, 2))
+    x, y = np.moveaxis(np.concatenate([eye, seen], axis=1), -1, 0)
+    cos, sin = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
+    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1) + poses[:, None, :2]
+
+
+def _write_gif(path: Path, images: list[np.ndarray], frame_rate: float) -> None:
+    # One palette for all frames: it is quick to apply, and what stands still stays the same from frame to frame, so
+    # that a GIF stores only what changes.
+    sample = np.concatenate(images[:: max(1, len(images) // 6)])
+    palette = Image.fromarray(sample).quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    indexed = [Image.fromarray(image).quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
+    duration = round(1000.0 / frame_rate)  # milliseconds
+    indexed[0].save(path, save_all=True, append_images=indexed[1:], duration=duration, loop=0)

@@ -1,0 +1,216 @@
+"""The footprints of many prisms as flat arrays, and exact distances to them.
+
+Pure functions on arrays. A footprint is a *core* (a convex polygon, or the centre point of a cylinder) and a radius
+around it (0, or the cylinder's). Distances are asked for pairs (query, prism), so that a caller prunes first, by
+bounding boxes; each pair is then expanded into the edges of its prism.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from navsim.prism import Prism
+
+PAIRS_A_CHUNK = 1_000_000
+"""Pairs looked at in one go; it bounds the memory in use, to some tens of megabytes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Footprints:
+    """``P`` footprints with ``E`` edges in all; the one edge of a cylinder has no length."""
+
+    starts: np.ndarray
+    """``(E, 2)``: where each edge begins, metres; the edges of one prism follow one another counter-clockwise."""
+    ends: np.ndarray
+    """``(E, 2)``: where each edge ends, metres."""
+    first: np.ndarray
+    """``(P,)``: the first edge of each prism."""
+    count: np.ndarray
+    """``(P,)``: the number of edges of each prism."""
+    radius: np.ndarray
+    """``(P,)``: metres around the core."""
+    low: np.ndarray
+    """``(P, 2)``: least x and y of each footprint, metres."""
+    high: np.ndarray
+    """``(P, 2)``: greatest x and y of each footprint, metres."""
+
+    @classmethod
+    def of(cls, prisms: Sequence[Prism]) -> Footprints:
+        """The footprints of ``prisms``, in their order."""
+        count = np.array([len(prism.vertices) for prism in prisms], dtype=np.intp)
+        first = np.cumsum(count) - count
+        starts = np.concatenate([np.empty((0, 2)), *(prism.vertices for prism in prisms)])
+        following = np.arange(1, len(starts) + 1)
+        following[first + count - 1] = first
+        radius = np.array([prism.radius for prism in prisms])
+        empty = np.empty((0, 2))
+        low = np.minimum.reduceat(starts, first) - radius[:, None] if len(prisms) else empty
+        high = np.maximum.reduceat(starts, first) + radius[:, None] if len(prisms) else empty
+        return cls(starts, starts[following], first, count, radius, low, high)
+
+    def __len__(self) -> int:
+        return len(self.count)
+
+    def edges_of(self, prism: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The edges of each entry of ``prism`` ``(N,)``, one after the other.
+
+        Returns:
+            index of the edges ``(M,)``; the entry that each one belongs to ``(M,)``; each entry's first place ``(N,)``.
+        """
+        count = self.count[prism]
+        begin = np.cumsum(count) - count
+        entry = np.repeat(np.arange(len(prism)), count)
+        return np.arange(len(entry)) + np.repeat(self.first[prism] - begin, count), entry, begin
+
+    def point_distances(self, points: np.ndarray, prism: np.ndarray) -> np.ndarray:
+        """Signed distance ``(N,)``, metres, from ``points[n]`` to the footprint ``prism[n]``: negative inside it."""
+        if not len(points):
+            return np.empty(0)
+        edge, entry, begin = self.edges_of(prism)
+        along, offset = self.ends[edge] - self.starts[edge], points[entry] - self.starts[edge]
+        squared = _dot(along, along)
+        gap = offset - _share(offset, along)[:, None] * along
+        distance = np.sqrt(np.minimum.reduceat(_dot(gap, gap), begin))
+        depth = np.where(squared > 0.0, _divide(_cross(along, offset), np.sqrt(squared)), -np.inf)
+        depth = np.minimum.reduceat(depth, begin)
+        return np.where(depth > 0.0, -depth, distance) - self.radius[prism]
+
+    def nearest_on_core(self, points: np.ndarray, prism: np.ndarray) -> np.ndarray:
+        """The point ``(N, 2)`` on the outline of the core ``prism[n]`` that is nearest to ``points[n]``."""
+        edge, entry, begin = self.edges_of(prism)
+        along, offset = self.ends[edge] - self.starts[edge], points[entry] - self.starts[edge]
+        foot = self.starts[edge] + _share(offset, along)[:, None] * along
+        gap = points[entry] - foot
+        squared = _dot(gap, gap)
+        is_nearest = squared == np.minimum.reduceat(squared, begin)[entry]
+        nearest = np.empty((len(points), 2))
+        nearest[entry[is_nearest]] = foot[is_nearest]
+        return nearest
+
+    def entry_shares(self, starts: np.ndarray, ends: np.ndarray, prism: np.ndarray) -> np.ndarray:
+        """How far along the segment ``starts[n]``–``ends[n]`` it enters the core ``prism[n]``: ``(N,)``, in [0, 1].
+
+        Infinite when it does not, and for cylinders. The method is Cyrus and Beck's (1978).
+        """
+        edge, entry, begin = self.edges_of(prism)
+        corner, along = self.starts[edge], self.ends[edge] - self.starts[edge]
+        at_start, at_end = _cross(along, starts[entry] - corner), _cross(along, ends[entry] - corner)
+        crossing = _divide(at_start, at_start - at_end)
+        enters = np.where(at_start < 0.0, np.where(at_end > at_start, crossing, np.inf), 0.0)
+        leaves = np.where((at_start >= 0.0) & (at_end < 0.0), crossing, 1.0)
+        enters, leaves = np.maximum.reduceat(enters, begin), np.minimum.reduceat(leaves, begin)
+        return np.where((enters <= leaves) & (self.count[prism] > 1), enters, np.inf)
+
+    def segment_distances(self, starts: np.ndarray, ends: np.ndarray, prism: np.ndarray) -> np.ndarray:
+        """Distance ``(N,)``, metres, from the segment ``starts[n]``–``ends[n]`` to the footprint ``prism[n]``.
+
+        Not positive where they meet.
+        """
+        if not len(starts):
+            return np.empty(0)
+        edge, entry, begin = self.edges_of(prism)
+        segment, offset = (ends - starts)[entry], self.starts[edge] - starts[entry]
+        gap = offset - _share(offset, segment)[:, None] * segment
+        distance = np.sqrt(np.minimum.reduceat(_dot(gap, gap), begin)) - self.radius[prism]
+        for points in (starts, ends):
+            distance = np.minimum(distance, self.point_distances(points, prism))
+        meets = np.isfinite(self.entry_shares(starts, ends, prism))
+        return np.where(meets, np.minimum(distance, 0.0), distance)
+
+    def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Signed distance ``(K,)``, metres, from each of ``points`` to the nearest footprint, and its index ``(K,)``.
+
+        Infinite, with the index −1, when there are no footprints. Inside several, the deepest one counts.
+        """
+        distance = np.full(len(points), np.inf)
+        index = np.full(len(points), -1, dtype=np.intp)
+        if not len(self):
+            return distance, index
+        centre = np.add.reduceat(self.starts, self.first) / self.count[:, None]
+        chunk = max(1, PAIRS_A_CHUNK // len(self))
+        for begin in range(0, len(points), chunk):
+            part = points[begin : begin + chunk]
+            outside = np.maximum(np.maximum(self.low - part[:, None], part[:, None] - self.high), 0.0)
+            at_least = np.sqrt(_dot(outside, outside))
+            towards = centre - part[:, None]
+            at_most = np.sqrt(_dot(towards, towards)) - self.radius
+            worth_it = (at_least <= at_most.min(axis=1, keepdims=True)) | (at_least == 0.0)
+            query, prism = np.nonzero(worth_it)
+            found = self.point_distances(part[query], prism)
+            first = np.searchsorted(query, np.arange(len(part)))
+            least = np.minimum.reduceat(found, first)
+            distance[begin : begin + chunk] = least
+            is_nearest = np.flatnonzero(found == least[query])
+            index[begin + query[is_nearest]] = prism[is_nearest]
+        return distance, index
+
+    def segments_keep_clear(self, starts: np.ndarray, ends: np.ndarray, clear: np.ndarray) -> np.ndarray:
+        """Whether each segment ``starts[n]``–``ends[n]`` stays at least ``clear[p]`` from each core ``p``: ``(N,)``.
+
+        Args:
+            starts: ``(N, 2)``, metres.
+            ends: ``(N, 2)``, metres.
+            clear: ``(P,)``, metres, from the core: the footprint's own radius is not added.
+        """
+        keeps = np.ones(len(starts), dtype=bool)
+        reach = (clear - self.radius)[:, None]
+        low, high = np.minimum(starts, ends), np.maximum(starts, ends)
+        for segment, prism in overlapping_boxes(low, high, self.low - reach, self.high + reach):
+            undecided = keeps[segment]
+            segment, prism = segment[undecided], prism[undecided]
+            distance = self.segment_distances(starts[segment], ends[segment], prism) + self.radius[prism]
+            keeps[segment[distance < clear[prism]]] = False
+        return keeps
+
+
+def overlapping_boxes(
+    low: np.ndarray, high: np.ndarray, other_low: np.ndarray, other_high: np.ndarray
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Every pair of a box and another box that overlap or touch, in chunks of two index arrays.
+
+    Boxes are sorted by x, so that the cost follows the number of pairs that overlap in x.
+
+    Args:
+        low, high: ``(N, 2)``, corners of the boxes.
+        other_low, other_high: ``(M, 2)``, corners of the other boxes.
+    """
+    if not len(low) or not len(other_low):
+        return
+    order = np.argsort(other_low[:, 0])
+    sorted_low = other_low[order, 0]
+    widest = float(np.max(other_high[:, 0] - other_low[:, 0]))
+    begin = np.searchsorted(sorted_low, low[:, 0] - widest, side="left")
+    count = np.searchsorted(sorted_low, high[:, 0], side="right") - begin
+    total = np.cumsum(count)
+    done = 0
+    while done < len(low):
+        before = total[done - 1] if done else 0
+        upto = max(done + 1, int(np.searchsorted(total, before + PAIRS_A_CHUNK, side="right")))
+        boxes = np.repeat(np.arange(done, upto), count[done:upto])
+        within = np.arange(len(boxes)) - np.repeat(total[done:upto] - count[done:upto] - before, count[done:upto])
+        others = order[begin[boxes] + within]
+        overlap = (low[boxes] <= other_high[others]) & (high[boxes] >= other_low[others])
+        overlap = overlap[:, 0] & overlap[:, 1]
+        yield boxes[overlap], others[overlap]
+        done = upto
+
+
+def _share(offset: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """How far along a segment, in [0, 1], its point nearest to a point is that lies ``offset`` from its start."""
+    return np.clip(_divide(_dot(along, offset), _dot(along, along)), 0.0, 1.0)
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+def _divide(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """``a / b``, and 0 where ``b`` is 0."""
+    return np.divide(a, b, out=np.zeros_like(a), where=b != 0.0)

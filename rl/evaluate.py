@@ -1,0 +1,527 @@
+"""The evaluation of a policy: every path of a world, greedy, with the metrics of robot navigation."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path as FilePath
+from typing import Any, Literal, Protocol, runtime_checkable
+
+import numpy as np
+import torch
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+from tensordict import TensorDict, TensorDictBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from navsim.camera import DepthCamera
+from navsim.planner import shortest_path_length
+from navsim.robot import ACTIONS, NUM_ACTIONS, TURTLEBOT2, Action, Robot
+from navsim.simulator import Observation, Simulator, Transition
+from navsim.task import Path, Task
+from navsim.world import World
+from navsim.worldfile import load_world
+from rl.env import NUM_FRAMES
+from rl.run import atomic_write
+
+Outcome = Literal["success", "collision", "timeout"]
+OUTCOMES: tuple[Outcome, ...] = ("success", "collision", "timeout")
+"""How a path ends."""
+
+_FORMAT = 1
+_DRAWN_PATHS = 100
+_Z_95 = 1.959963984540054  # the normal distribution's 97.5% quantile
+
+
+@runtime_checkable
+class Planner(Protocol):
+    """A policy that knows the map: it plans each path as a whole and is then executed without looking."""
+
+    def plan(
+        self, world: World, start: np.ndarray, goal: np.ndarray, camera: DepthCamera, task: Task, robot: Robot
+    ) -> np.ndarray | None:
+        """``(K,)`` actions from the start pose ``(3,)`` to the goal ``(2,)``, or None when there is no way."""
+        ...
+
+
+Policy = Callable[[TensorDictBase], TensorDictBase] | Planner
+
+
+@dataclass(frozen=True, eq=False)
+class PathResult:
+    """What became of one path."""
+
+    start_index: int
+    """In the world's ``starts``; −1 for a start drawn at random."""
+    goal_index: int
+    """In the world's ``goals``; −1 for a goal drawn at random."""
+    goal: tuple[float, float]
+    """Metres."""
+    outcome: Outcome
+    reward: float
+    """Undiscounted sum."""
+    shortest_path_length: float
+    """Geodesic distance for the robot's radius from the start to the edge of the goal disc, metres."""
+    trajectory: np.ndarray
+    """``(K + 1, 3)`` x, y (metres), yaw (radians): at the start and after each of the K steps."""
+    actions: np.ndarray
+    """``(K,)`` int64."""
+
+    @property
+    def steps(self) -> int:
+        """Control periods that were driven."""
+        return len(self.actions)
+
+    @cached_property
+    def path_length(self) -> float:
+        """Metres driven."""
+        return float(np.linalg.norm(np.diff(self.trajectory[:, :2], axis=0), axis=1).sum())
+
+    @property
+    def spl(self) -> float:
+        """Success weighted by path length: S·l / max(p, l); a start on the goal's disc counts as S alone."""
+        if self.outcome != "success":
+            return 0.0
+        shortest = self.shortest_path_length
+        return shortest / max(self.path_length, shortest) if shortest > 0.0 else 1.0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON; positions to 0.1 mm, yaws to 0.0001 rad."""
+        return {
+            "start_index": self.start_index,
+            "goal_index": self.goal_index,
+            "goal": list(self.goal),
+            "outcome": self.outcome,
+            "steps": self.steps,
+            "reward": self.reward,
+            "path_length": self.path_length,
+            "shortest_path_length": self.shortest_path_length,
+            "actions": self.actions.tolist(),
+            "trajectory": np.round(self.trajectory, 4).tolist(),
+        }
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> PathResult:
+        """The inverse of ``to_dict``."""
+        return cls(
+            start_index=values["start_index"],
+            goal_index=values["goal_index"],
+            goal=tuple(values["goal"]),
+            outcome=values["outcome"],
+            reward=values["reward"],
+            shortest_path_length=values["shortest_path_length"],
+            trajectory=np.array(values["trajectory"], dtype=np.float64).reshape(-1, 3),
+            actions=np.array(values["actions"], dtype=np.int64),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """How a policy did on the paths of a world."""
+
+    policy: str
+    """The policy's name."""
+    world: str
+    """The world's name."""
+    seed: int
+    """Of the starts' yaws and of whatever else was drawn."""
+    paths: tuple[PathResult, ...]
+    """At least one."""
+
+    def count(self, outcome: Outcome) -> int:
+        """Paths that ended so."""
+        return sum(path.outcome == outcome for path in self.paths)
+
+    def rate(self, outcome: Outcome) -> float:
+        """Share of the paths that ended so, 0 to 1."""
+        return self.count(outcome) / len(self.paths)
+
+    def interval(self, outcome: Outcome) -> tuple[float, float]:
+        """Wilson's 95% interval of that share."""
+        return wilson_interval(self.count(outcome), len(self.paths))
+
+    @property
+    def success_rate(self) -> float:
+        """Share of the paths that reached the goal."""
+        return self.rate("success")
+
+    @property
+    def collision_rate(self) -> float:
+        """Share of the paths that ended in a collision."""
+        return self.rate("collision")
+
+    @property
+    def timeout_rate(self) -> float:
+        """Share of the paths that ran into the time limit."""
+        return self.rate("timeout")
+
+    @property
+    def spl(self) -> float:
+        """Success weighted by path length, the mean over all paths (Anderson et al. 2018, arXiv 1807.06757)."""
+        return float(np.mean([path.spl for path in self.paths]))
+
+    @property
+    def mean_steps(self) -> float:
+        """Mean length of a path, steps."""
+        return float(np.mean([path.steps for path in self.paths]))
+
+    @property
+    def mean_reward(self) -> float:
+        """Mean undiscounted return of a path."""
+        return float(np.mean([path.reward for path in self.paths]))
+
+    @property
+    def action_distribution(self) -> np.ndarray:
+        """``(7,)`` share of each action among all that were taken; zeros when none was."""
+        counts = np.bincount(np.concatenate([path.actions for path in self.paths]), minlength=NUM_ACTIONS)
+        return counts / max(1, counts.sum())
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything, as plain values: aggregates under ``"summary"``, the paths under ``"paths"``."""
+        summary: dict[str, Any] = {"paths": len(self.paths)}
+        for outcome in OUTCOMES:
+            summary[f"{outcome}_rate"] = self.rate(outcome)
+            summary[f"{outcome}_interval"] = list(self.interval(outcome))
+        summary |= {
+            "spl": self.spl,
+            "mean_steps": self.mean_steps,
+            "mean_reward": self.mean_reward,
+            "action_distribution": self.action_distribution.tolist(),
+        }
+        return {
+            "format": _FORMAT,
+            "policy": self.policy,
+            "world": self.world,
+            "seed": self.seed,
+            "summary": summary,
+            "paths": [path.to_dict() for path in self.paths],
+        }
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> Evaluation:
+        """The inverse of ``to_dict``; aggregates are computed anew from the paths.
+
+        Raises:
+            ValueError: for values that ``to_dict`` did not make.
+        """
+        try:
+            if values["format"] != _FORMAT:
+                raise ValueError(f"its format is {values['format']!r}; this version reads format {_FORMAT}")
+            paths = tuple(PathResult.from_dict(path) for path in values["paths"])
+            return cls(policy=values["policy"], world=values["world"], seed=values["seed"], paths=paths)
+        except KeyError as error:
+            raise ValueError(f"it has no {error}") from error
+        except TypeError as error:
+            raise ValueError(str(error)) from error
+
+    def to_json(self) -> str:
+        """``to_dict`` as JSON text."""
+        return json.dumps(self.to_dict(), allow_nan=False) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str) -> Evaluation:
+        """The inverse of ``to_json``.
+
+        Raises:
+            ValueError: for text that ``to_json`` did not write.
+        """
+        return cls.from_dict(json.loads(text))
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes ``to_json`` to a file, which appears when it is complete."""
+        with atomic_write(FilePath(path)) as file:
+            file.write(self.to_json())
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Evaluation:
+        """Reads what ``save`` wrote.
+
+        Raises:
+            ValueError: for a file that is missing or is no evaluation.
+        """
+        try:
+            return cls.from_json(FilePath(path).read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise ValueError(f"{os.fspath(path)} cannot be read as an evaluation: {error}") from error
+
+
+def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
+    """95% interval of a proportion by Wilson's score (E. B. Wilson, JASA 22, 1927).
+
+    >>> [round(bound, 4) for bound in wilson_interval(8, 10)]
+    [0.4902, 0.9433]
+
+    Raises:
+        ValueError: without trials.
+    """
+    if trials < 1 or not 0 <= successes <= trials:
+        raise ValueError(f"{successes} of {trials}: a proportion needs at least one trial, and no more successes")
+    share = successes / trials
+    weight = _Z_95**2 / trials
+    centre = (share + weight / 2) / (1 + weight)
+    half_width = math.sqrt(share * (1 - share) * weight + weight**2 / 4) / (1 + weight)
+    # At 0 and at 1 the interval touches the end exactly; rounding must not carry it past.
+    return (0.0 if successes == 0 else centre - half_width), (1.0 if successes == trials else centre + half_width)
+
+
+def evaluate(
+    policy: Policy,
+    world: World | str | os.PathLike[str],
+    *,
+    name: str = "",
+    camera: DepthCamera | None = None,
+    task: Task | None = None,
+    robot: Robot = TURTLEBOT2,
+    seed: int = 0,
+    num_paths: int | None = None,
+    console: Console | None = None,
+) -> Evaluation:
+    """Drives every path of a world with a policy, greedily, all paths at once, each in an episode of its own.
+
+    The seed decides the yaws of starts that leave them open, whatever the policy does, so that policies can be
+    compared path by path. What a policy draws (from torch's generator) is seeded as well; the generator is put back
+    afterwards.
+
+    Args:
+        policy: takes a tensordict with ``depth`` uint8 ``(N, 4, H, W)``, ``heading`` float32 ``(N, 1)``, ``pose``
+            float32 ``(N, 3)`` and ``is_init`` bool ``(N, 1)``, true in an episode's first step, and writes ``action``
+            ``(N,)``. What else it writes is there in the next step: its memory, one row a robot. Or a planner.
+        world: a world, or the path or name of a world file.
+        name: of the policy, for tables; by default the policy's own ``name``, or its class's.
+        camera: image size and everything else about the camera.
+        task: rewards, ends and time limit.
+        robot: its size and limits.
+        seed: of all that is drawn.
+        num_paths: how many of the world's paths to drive, the first ones; by default all. A world whose starts or
+            goals are random has as many as wanted, by default 100.
+        console: where a progress bar is shown; nowhere by default.
+
+    Raises:
+        navsim.WorldError: for a world file that cannot be used.
+        ValueError: for settings that cannot be used.
+    """
+    world = world if isinstance(world, World) else load_world(world)
+    paths = _paths_of(world, num_paths)
+    simulator = Simulator(world, len(paths), camera=camera, task=task, robot=robot, seed=seed)
+    observation = simulator.reset(paths=paths)
+    starts, goals = simulator.poses.copy(), simulator.goals.copy()
+    state = _first_state(observation)
+    driven = np.ones(len(paths), dtype=bool)
+    with _progress(console, world.name, len(paths)) as advance:
+        if isinstance(policy, Planner):
+            plans = []
+            for start, goal in zip(starts, goals, strict=True):
+                plans.append(policy.plan(world, start, goal, simulator.camera, simulator.task, robot))
+                advance(1)
+            driven = np.array([plan is not None for plan in plans])
+            state["plan"] = _padded(plans, simulator.task.max_steps)
+            episodes = _drive(_follow_plan, simulator, state, driven, lambda ended: None)
+        else:
+            with torch.random.fork_rng(devices=[]):
+                torch.manual_seed(seed)
+                episodes = _drive(policy, simulator, state, driven, advance)
+    results = (
+        PathResult(
+            start_index=path.start_index,
+            goal_index=path.goal_index,
+            goal=(float(goal[0]), float(goal[1])),
+            outcome=episode.outcome,
+            reward=episode.reward,
+            shortest_path_length=_shortest(world, start, goal, simulator.task, robot),
+            trajectory=np.array([start, *episode.poses]),
+            actions=np.array(episode.actions, dtype=np.int64),
+        )
+        for path, start, goal, episode in zip(paths, starts, goals, episodes, strict=True)
+    )
+    policy_name = name or getattr(policy, "name", "") or type(policy).__name__
+    return Evaluation(policy=policy_name, world=world.name, seed=seed, paths=tuple(results))
+
+
+def _paths_of(world: World, num_paths: int | None) -> list[Path]:
+    if num_paths is not None and num_paths < 1:
+        raise ValueError(f"num_paths must be at least 1; got {num_paths}")
+    if not world.paths:  # starts, goals or both are drawn: the listed ones take turns
+        starts = [-1] if isinstance(world.starts, str) else range(len(world.starts))
+        goals = [-1] if isinstance(world.goals, str) else range(len(world.goals))
+        turns = itertools.cycle(itertools.product(starts, goals))
+        return [Path(start, goal) for start, goal in itertools.islice(turns, num_paths or _DRAWN_PATHS)]
+    if num_paths is not None and num_paths > len(world.paths):
+        raise ValueError(f'world "{world.name}" has {len(world.paths)} paths; num_paths asks for {num_paths}')
+    return [Path(start, goal) for start, goal in world.paths[:num_paths]]
+
+
+def _first_state(observation: Observation) -> TensorDict:
+    count = len(observation.heading)
+    return TensorDict(
+        {
+            "depth": torch.from_numpy(observation.depth).unsqueeze(1).repeat(1, NUM_FRAMES, 1, 1),
+            "heading": torch.from_numpy(observation.heading).unsqueeze(-1),
+            "pose": torch.from_numpy(observation.pose),
+            "is_init": torch.ones((count, 1), dtype=torch.bool),
+        },
+        batch_size=[count],
+    )
+
+
+@dataclass
+class _Episode:
+    outcome: Outcome = "timeout"
+    reward: float = 0.0
+    poses: list[np.ndarray] = field(default_factory=list)
+    actions: list[int] = field(default_factory=list)
+
+
+def _drive(
+    policy: Callable[[TensorDictBase], TensorDictBase],
+    simulator: Simulator,
+    state: TensorDictBase,
+    driven: np.ndarray,
+    advance: Callable[[int], None],
+) -> list[_Episode]:
+    """Drives the robots that are in ``driven`` (N,) to the ends of their episodes; the others stay at their starts."""
+    episodes = [_Episode() for _ in driven]
+    running = np.flatnonzero(driven)  # the episode of each of the simulator's robots
+    if not driven.all():
+        simulator, state = _subset(simulator, driven), state[torch.from_numpy(driven)]
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC), _evaluation_mode(policy):
+        while len(running):
+            state = policy(state)
+            actions = state["action"].reshape(-1).cpu().numpy()
+            moved = simulator.step(actions)
+            ended = moved.terminated | moved.truncated
+            for robot, index in enumerate(running):
+                episode = episodes[index]
+                episode.actions.append(int(actions[robot]))
+                episode.poses.append(simulator.poses[robot].copy())
+                episode.reward += float(moved.reward[robot])
+                if ended[robot]:
+                    episode.outcome = _outcome(moved, robot)
+            state = _next_state(state, moved)
+            if ended.any():
+                running = running[~ended]
+                advance(int(ended.sum()))
+                if len(running):
+                    simulator, state = _subset(simulator, ~ended), state[torch.from_numpy(~ended)]
+    return episodes
+
+
+def _outcome(moved: Transition, robot: int) -> Outcome:
+    if moved.success[robot]:
+        return "success"
+    return "collision" if moved.collision[robot] else "timeout"
+
+
+def _next_state(state: TensorDictBase, moved: Transition) -> TensorDictBase:
+    depth = torch.from_numpy(moved.depth).unsqueeze(1)
+    state["depth"] = torch.cat([state["depth"][:, 1:], depth], dim=1)
+    state["heading"] = torch.from_numpy(moved.heading).unsqueeze(-1)
+    state["pose"] = torch.from_numpy(moved.pose)
+    state["is_init"] = torch.zeros_like(state["is_init"])
+    return state
+
+
+def _subset(simulator: Simulator, kept: np.ndarray) -> Simulator:
+    """A simulator of those robots alone, in the middle of their episodes: finished ones cost nothing any more."""
+
+    def pick(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: pick(entry) for key, entry in value.items()}
+        if isinstance(value, np.ndarray):
+            return value[kept]
+        return [entry for entry, keep in zip(value, kept, strict=True) if keep]
+
+    smaller = Simulator(
+        simulator.worlds, int(kept.sum()), camera=simulator.camera, task=simulator.task, robot=simulator.robot
+    )
+    smaller.load_state_dict(pick(simulator.state_dict()))
+    return smaller
+
+
+@contextmanager
+def _evaluation_mode(policy: Any) -> Iterator[None]:
+    """Modules are switched to evaluation, and back."""
+    if not isinstance(policy, torch.nn.Module):
+        yield
+        return
+    was_training = policy.training
+    policy.eval()
+    try:
+        yield
+    finally:
+        policy.train(was_training)
+
+
+def _padded(plans: Sequence[np.ndarray | None], length: int) -> torch.Tensor:
+    """``(N, length)`` int64: each plan, then "turn no more", by which a plan that falls short is driven on."""
+    straight = ACTIONS.index(Action(None, 0.0))
+    padded = torch.full((len(plans), length + 1), straight)
+    for row, plan in zip(padded, plans, strict=True):
+        if plan is not None:
+            actions = torch.as_tensor(np.asarray(plan, dtype=np.int64)[:length])
+            row[: len(actions)] = actions
+    return padded
+
+
+def _follow_plan(state: TensorDictBase) -> TensorDictBase:
+    """Plays the first action of every robot's plan, and moves the plan up."""
+    state["action"] = state["plan"][:, 0]
+    state["plan"] = state["plan"].roll(-1, dims=1)
+    return state
+
+
+def _shortest(world: World, start: np.ndarray, goal: np.ndarray, task: Task, robot: Robot) -> float:
+    return shortest_path_length(
+        world,
+        start[:2],
+        goal,
+        robot_radius=robot.radius,
+        robot_height=robot.height,
+        goal_radius=task.goal_radius,
+    )
+
+
+@contextmanager
+def _progress(console: Console | None, label: str, total: int) -> Iterator[Callable[[int], None]]:
+    """A progress bar over the paths; gives the function that counts those that ended."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=console is None) as bar:
+        task = bar.add_task(f"evaluating in {label}", total=total)
+        yield lambda ended: bar.advance(task, ended)
+
+
+def comparison_table(evaluations: Sequence[Evaluation], *, title: str | None = None) -> Table:
+    """A table for the screen, one row an evaluation: rates in percent with their 95% intervals.
+
+    Args:
+        evaluations: of one policy in one world each.
+        title: over the table; by default the worlds' names.
+    """
+    worlds = dict.fromkeys(evaluation.world for evaluation in evaluations)
+    table = Table(title=title or ", ".join(worlds), caption="brackets: Wilson 95% intervals")
+    table.add_column("policy", style="bold")
+    if len(worlds) > 1:
+        table.add_column("world")
+    for heading in ("paths", "success %", "collision %", "timeout %", "SPL", "steps", "reward"):
+        table.add_column(heading, justify="right")
+    for evaluation in evaluations:
+        rates = []
+        for outcome in OUTCOMES:
+            low, high = evaluation.interval(outcome)
+            rates.append(f"{100 * evaluation.rate(outcome):.0f} [dim]\\[{100 * low:.0f}, {100 * high:.0f}][/dim]")
+        table.add_row(
+            evaluation.policy,
+            *([evaluation.world] if len(worlds) > 1 else []),
+            str(len(evaluation.paths)),
+            *rates,
+            f"{evaluation.spl:.2f}",
+            f"{evaluation.mean_steps:.0f}",
+            f"{evaluation.mean_reward:+.2f}",
+        )
+    return table
