@@ -148,6 +148,7 @@ class _Stage:
         self._lay_out()
         self.moving = (
             self._view,
+            self._goal,
             self._halo,
             self._trail,
             self._body,
@@ -176,7 +177,7 @@ class _Stage:
         plan.axis("off")
         goal = (float(episode.goal[0]), float(episode.goal[1]))
         plan.add_patch(Circle(goal, episode.task.goal_radius, fc=GOAL, ec=GOAL, alpha=0.25, zorder=1.5))
-        draw_goal(plan, goal)
+        self._goal = draw_goal(plan, goal)
         plan.plot(*episode.poses[0, :2], marker="o", ms=5, mfc="white", mec=QUIET_INK, zorder=3)
         self._view = PolygonPatch(self._views[0], fc=VIEW, ec=VIEW, lw=0.8, alpha=0.3, zorder=3.1)
         self._body = Circle((0, 0), robot.radius, fc=ROBOT, ec=INK, lw=1.1, zorder=4)

@@ -231,14 +231,15 @@ def _draw_starts(axes: Axes, starts: Sequence[Start], robot: Robot) -> None:
         axes.text(x, y, str(index), fontsize=7, ha="center", va="center_baseline", color=START, zorder=6)
 
 
-def draw_goal(axes: Axes, at: tuple[float, float], label: str = "") -> None:
-    """Mark a goal at x, y, metres, on a plan view."""
-    axes.plot(*at, marker="D", ms=6.5 if label else 7, mfc=GOAL, mec="white", mew=0.9, ls="none", zorder=5)
+def draw_goal(axes: Axes, at: tuple[float, float], label: str = "") -> Line2D:
+    """Mark a goal at x, y, metres, on a plan view; returns the mark."""
+    (mark,) = axes.plot(*at, marker="D", ms=6.5, mfc=GOAL, mec="white", mew=0.9, ls="none", zorder=5)
     if label:
         text = axes.annotate(
             label, at, xytext=(4.5, 3.5), textcoords="offset points", fontsize=7, color=GOAL, weight="bold", zorder=6
         )
         text.set_path_effects([patheffects.withStroke(linewidth=2.0, foreground="white")])
+    return mark
 
 
 def _world_legend(

@@ -54,6 +54,12 @@ class Footprints:
     def __len__(self) -> int:
         return len(self.count)
 
+    def following(self, edge: np.ndarray) -> np.ndarray:
+        """The edge ``(N,)`` that comes after each of ``edge`` around its core."""
+        after = np.arange(1, len(self.starts) + 1)
+        after[self.first + self.count - 1] = self.first
+        return after[edge]
+
     def edges_of(self, prism: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The edges of each entry of ``prism`` ``(N,)``, one after the other.
 
@@ -147,6 +153,20 @@ class Footprints:
             index[begin + query[is_nearest]] = prism[is_nearest]
         return distance, index
 
+    def points_keep_clear(self, points: np.ndarray, clear: np.ndarray) -> np.ndarray:
+        """Whether each of ``points`` ``(N, 2)`` is at least ``clear[p]`` from each core ``p``: ``(N,)``.
+
+        Args:
+            points: metres.
+            clear: ``(P,)``, metres, from the core: the footprint's own radius is not added.
+        """
+        keeps = np.ones(len(points), dtype=bool)
+        reach = (clear - self.radius)[:, None]
+        for point, prism in overlapping_boxes(points, points, self.low - reach, self.high + reach):
+            distance = self.point_distances(points[point], prism) + self.radius[prism]
+            keeps[point[distance < clear[prism]]] = False
+        return keeps
+
     def segments_keep_clear(self, starts: np.ndarray, ends: np.ndarray, clear: np.ndarray) -> np.ndarray:
         """Whether each segment ``starts[n]``–``ends[n]`` stays at least ``clear[p]`` from each core ``p``: ``(N,)``.
 
@@ -171,30 +191,39 @@ def overlapping_boxes(
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Every pair of a box and another box that overlap or touch, in chunks of two index arrays.
 
-    Boxes are sorted by x, so that the cost follows the number of pairs that overlap in x.
+    The other boxes are sorted by x among those of about the same width, so that the cost follows the number of pairs
+    that come near in x, and one wide box does not make all of them slow.
 
     Args:
-        low, high: ``(N, 2)``, corners of the boxes.
-        other_low, other_high: ``(M, 2)``, corners of the other boxes.
+        low: ``(N, 2)``, least x and y of each box.
+        high: ``(N, 2)``, greatest x and y.
+        other_low: ``(M, 2)``, the same of the other boxes.
+        other_high: ``(M, 2)``.
     """
-    if not len(low) or not len(other_low):
-        return
-    order = np.argsort(other_low[:, 0])
-    sorted_low = other_low[order, 0]
-    widest = float(np.max(other_high[:, 0] - other_low[:, 0]))
-    begin = np.searchsorted(sorted_low, low[:, 0] - widest, side="left")
-    count = np.searchsorted(sorted_low, high[:, 0], side="right") - begin
+    width = other_high[:, 0] - other_low[:, 0]
+    doublings = np.frexp(width)[1]
+    for doubling in np.unique(doublings):
+        others = np.flatnonzero(doublings == doubling)
+        others = others[np.argsort(other_low[others, 0])]
+        begin = np.searchsorted(other_low[others, 0], low[:, 0] - width[others].max(), side="left")
+        count = np.searchsorted(other_low[others, 0], high[:, 0], side="right") - begin
+        for boxes, within in _ranges(begin, count):
+            near = others[within]
+            overlap = (low[boxes] <= other_high[near]) & (high[boxes] >= other_low[near])
+            overlap = overlap[:, 0] & overlap[:, 1]
+            yield boxes[overlap], near[overlap]
+
+
+def _ranges(begin: np.ndarray, count: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Each index ``n`` with each of ``begin[n], …, begin[n] + count[n] - 1``, in chunks of two arrays."""
     total = np.cumsum(count)
     done = 0
-    while done < len(low):
-        before = total[done - 1] if done else 0
+    while done < len(count):
+        before = int(total[done - 1]) if done else 0
         upto = max(done + 1, int(np.searchsorted(total, before + PAIRS_A_CHUNK, side="right")))
-        boxes = np.repeat(np.arange(done, upto), count[done:upto])
-        within = np.arange(len(boxes)) - np.repeat(total[done:upto] - count[done:upto] - before, count[done:upto])
-        others = order[begin[boxes] + within]
-        overlap = (low[boxes] <= other_high[others]) & (high[boxes] >= other_low[others])
-        overlap = overlap[:, 0] & overlap[:, 1]
-        yield boxes[overlap], others[overlap]
+        index = np.repeat(np.arange(done, upto), count[done:upto])
+        place = np.arange(before, before + len(index)) - (total - count)[index]
+        yield index, begin[index] + place
         done = upto
 
 

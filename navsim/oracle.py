@@ -25,7 +25,7 @@ from navsim.camera import DepthCamera
 from navsim.footprints import Footprints
 from navsim.planner import DistanceField, shortest_path
 from navsim.raycast import Scene, cast, nearest_depth
-from navsim.robot import ACTIONS, INITIAL_COMMAND, NUM_ACTIONS, TURTLEBOT2, Robot, apply_actions, follow_arc, wrap_angle
+from navsim.robot import ACTIONS, INITIAL_COMMAND, NUM_ACTIONS, TURTLEBOT2, Robot, apply_actions, wrap_angle
 from navsim.simulator import Simulator
 from navsim.task import Task, goal_distance
 from navsim.world import World
@@ -185,17 +185,22 @@ class _Rules:
         Returns:
             ``(N, S, 3)`` poses at the end of each physics substep, ``(N, 2)`` speeds at the end.
         """
-        robot = self.robot
-        dt = self.task.control_period / self._substeps
+        robot, substeps = self.robot, self._substeps
+        dt = self.task.control_period / substeps
         greatest = np.array([robot.max_linear_speed, robot.max_angular_speed])
         limits = (robot.linear_acceleration, robot.angular_acceleration)
-        change = np.array([math.inf if limit is None else limit * dt for limit in limits])
+        acceleration = np.array([math.inf if limit is None else limit for limit in limits])
+        change = acceleration * dt * np.arange(1, substeps + 1)[:, None]
         targets = np.clip(commands, -greatest, greatest)
-        track = np.empty((len(poses), self._substeps, 3))
-        for substep in range(self._substeps):
-            speeds = speeds + np.clip(targets - speeds, -change, change)
-            poses = track[:, substep] = follow_arc(poses, speeds, dt)
-        return track, speeds
+        ramp = speeds[:, None] + np.clip((targets - speeds)[:, None], -change, change)  # (N, S, 2)
+        turn = ramp[..., 1] * dt
+        headings = poses[:, 2, None] + np.cumsum(turn, axis=1)
+        chord = ramp[..., 0] * dt * np.sinc(turn / (2.0 * math.pi))
+        track = np.empty((len(poses), substeps, 3))
+        track[..., 0] = poses[:, 0, None] + np.cumsum(chord * np.cos(headings - 0.5 * turn), axis=1)
+        track[..., 1] = poses[:, 1, None] + np.cumsum(chord * np.sin(headings - 0.5 * turn), axis=1)
+        track[..., 2] = wrap_angle(headings)
+        return track, ramp[:, -1]
 
     def touches(self, track: np.ndarray, margin: float) -> np.ndarray:
         """``(N,)`` bool: something comes nearer than ``margin`` to the base at the end of a substep of (N, S, 3)."""

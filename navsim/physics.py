@@ -107,10 +107,10 @@ class Physics:
         substeps = max(1, math.ceil(duration / self.substep - 1e-9))
         dt = duration / substeps
         speeds = self._speeds_by_substep(commands, substeps, dt)
-        headings = self.poses[:, 2, None] + np.cumsum(
-            np.insert(speeds[..., 1], 0, 0.0, axis=1) * dt, axis=1
-        )  # (N, substeps + 1); nothing that a round robot without friction touches can turn it
-        velocities = _chord_velocities(speeds, headings[:, :-1], dt)
+        # Nothing that a round robot without friction touches can turn it: headings are known in advance.
+        turned = np.cumsum(speeds[..., 1] * dt, axis=1)
+        headings = self.poses[:, 2, None] + turned
+        velocities = _chord_velocities(speeds, headings - 0.5 * dt * speeds[..., 1], dt)
         # Summed one by one, as Chipmunk does.
         track = np.cumsum(np.concatenate([self.poses[:, None, :2], velocities * dt], axis=1), axis=1)
 
@@ -173,12 +173,16 @@ class Physics:
         return space
 
 
-def _chord_velocities(speeds: np.ndarray, headings: np.ndarray, dt: float) -> np.ndarray:
-    """Velocities ``(..., 2)``, m/s, that lead along the chords of the arcs that ``speeds`` (..., 2) run in ``dt``."""
-    turn = speeds[..., 1] * dt
-    magnitude = speeds[..., 0] * np.sinc(turn / (2.0 * np.pi))
-    direction = headings + 0.5 * turn
-    return np.stack([magnitude * np.cos(direction), magnitude * np.sin(direction)], axis=-1)
+def _chord_velocities(speeds: np.ndarray, directions: np.ndarray, dt: float) -> np.ndarray:
+    """Velocities ``(..., 2)``, m/s, that lead along the chords of the arcs that ``speeds`` (..., 2) run in ``dt``.
+
+    Args:
+        speeds: forward (m/s) and turning (rad/s) speed on each arc.
+        directions: headings in the middle of each arc, which is where its chord points.
+        dt: seconds.
+    """
+    length = speeds[..., 0] * np.sinc(speeds[..., 1] * dt / (2.0 * np.pi))
+    return np.stack([length * np.cos(directions), length * np.sin(directions)], axis=-1)
 
 
 class _RobotBody:

@@ -434,7 +434,7 @@ def _trace_polygons(
     inside[polygons] = np.minimum.reduceat(offset + margin, first_vertex) >= 0.0
 
     behind = ahead < _NEAR
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         u = width / 2 - 0.5 - fx * aside / ahead
         crossing = aside + (aside_1 - aside) * (_NEAR - ahead) / (ahead_1 - ahead)
     u_crossing = width / 2 - 0.5 - fx * crossing / _NEAR
@@ -442,20 +442,27 @@ def _trace_polygons(
     u_0 = np.where(behind, u_crossing, u)
     u_1 = np.where(behind_1, u_crossing, u[following])
     visible = ~(behind & behind_1)
+    shallow, deep = np.maximum(np.minimum(ahead, ahead_1), 0.0), np.maximum(ahead, ahead_1)
+
+    def depth_on(edge: np.ndarray, column: np.ndarray) -> np.ndarray:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            depth = offset[edge] / (normal_ahead[edge] + normal_aside[edge] * slopes[column])
+        # A column's ray along an edge meets it anywhere, and rounding could make that a place beyond its ends.
+        return np.fmin(np.fmax(depth, shallow[edge]), deep[edge])
 
     # Seen from outside, the edges of a counter-clockwise polygon that face the camera run to the right in the image.
     front = np.flatnonzero(visible & (u_1 > u_0) & ~inside[pair])
     column_first, count = _columns_between(u_0[front], u_1[front], width)
     owner, step = _expand(count)
     edge, column = front[owner], column_first[owner] + step
-    near = offset[edge] / (normal_ahead[edge] + normal_aside[edge] * slopes[column])
+    near = depth_on(edge, column)
     front_pair = pair[edge]
 
     back = np.flatnonzero(visible & (u_0 > u_1) & (needs_far | inside)[pair])
     column_first, count = _columns_between(u_1[back], u_0[back], width)
     owner, step = _expand(count)
     edge, back_column = back[owner], column_first[owner] + step
-    back_far = offset[edge] / (normal_ahead[edge] + normal_aside[edge] * slopes[back_column])
+    back_far = depth_on(edge, back_column)
     back_pair = pair[edge]
 
     far_of = np.full(len(needs_far) * width, np.nan)
@@ -466,6 +473,6 @@ def _trace_polygons(
     return (
         np.concatenate([front_pair, back_pair[within]]),
         np.concatenate([column, back_column[within]]),
-        np.concatenate([np.maximum(near, 0.0), np.zeros(int(within.sum()))]),
+        np.concatenate([near, np.zeros(int(within.sum()))]),
         np.concatenate([far, back_far[within]]),
     )

@@ -81,7 +81,7 @@ class Simulator:
     >>> simulator.reset().heading.tolist()
     [0.0, 0.0]
     >>> transition = simulator.step(np.array([1, 2]))  # faster; turn left
-    >>> transition.reward.round(4).tolist()
+    >>> transition.reward.astype(float).round(4).tolist()
     [0.07, 0.0295]
     """
 

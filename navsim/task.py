@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from navsim.camera import DepthCamera
-from navsim.planner import clearance
+from navsim.connectivity import Chains
+from navsim.footprints import Footprints
 from navsim.raycast import Scene, nearest_depth
 from navsim.robot import Robot, wrap_angle
 from navsim.world import World
@@ -19,9 +20,9 @@ START_CLEARANCE = 0.05
 """Free space that a start needs around the robot's base, metres."""
 
 _YAWS = np.deg2rad(np.arange(-175.0, 181.0, 5.0))  # what an open start yaw is drawn from
-_POINTS = 24  # random places tried at a time
+_POINTS, _VIEWS = 32, 8  # random places tried at a time, and how many of them as starts
 _ROUNDS = 400  # times that they are tried before a world is said to have no room
-_PATIENCE = 40  # times that a random start is tried with the wanted view before the best one seen is taken
+_PATIENCE = 40  # times after which a start need not have the wanted view any more, if only it does not collide
 
 
 @dataclass(frozen=True)
@@ -156,9 +157,10 @@ class Episodes:
     else is listed do such pairs occur.
 
     A listed start without a yaw faces one of 72 directions, uniformly among those with a free view of
-    ``task.start_view``; where there is none, the direction with the longest. Places drawn at random are uniform over
-    the room as far as the robot fits (with 5 cm to spare for a start), is further than ``goal_radius`` from the goal,
-    is connected with it and, for a start, has that free view in the direction that is drawn with it.
+    ``task.start_view``; where there is none, the direction with the longest. A random place is one of the room where
+    the robot fits, uniformly; a start has 5 cm to spare there, and that free view in the direction that is drawn with
+    it (or at least ``collision_depth``, in a world where it is hard to find). Starts and goals are further apart than
+    ``goal_radius`` and connected.
 
     Args:
         world: the world.
@@ -195,15 +197,15 @@ class Episodes:
             start_index, goal_index = self._pairs[generator.integers(len(self._pairs))].tolist()
         else:
             start_index, goal_index = self._checked(path)
-        goal = self._goals[goal_index] if goal_index >= 0 else None
+        start = goal = None
         if start_index >= 0:
             yaws, _ = self._yaws[start_index]
-            pose = np.array([*self._starts[start_index, :2], yaws[generator.integers(len(yaws))]])
-        else:
-            pose = self._random_start(generator, goal)
-        if goal is None:
-            goal = self._random_goal(generator, pose)
-        return Episode(Path(start_index, goal_index, self._world_index), pose, goal)
+            start = np.array([*self._starts[start_index, :2], yaws[generator.integers(len(yaws))]])
+        if goal_index >= 0:
+            goal = self._goals[goal_index]
+        if start is None or goal is None:
+            start, goal = self._random_places(generator, start, goal)
+        return Episode(Path(start_index, goal_index, self._world_index), start, goal)
 
     def _checked(self, path: Path) -> tuple[int, int]:
         for kind, index, places in (("start", path.start_index, self._starts), ("goal", path.goal_index, self._goals)):
@@ -247,41 +249,52 @@ class Episodes:
             lasting &= goal_distance(self._starts[pairs[:, 0]], self._goals[pairs[:, 1]]) >= self._task.goal_radius
         return pairs[lasting] if lasting.any() else pairs
 
-    def _random_start(self, generator: np.random.Generator, goal: np.ndarray | None) -> np.ndarray:
-        best_view, best = 0.0, None
+    def _random_places(
+        self, generator: np.random.Generator, start: np.ndarray | None, goal: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """A start ``(3,)`` and a goal ``(2,)`` for each other, of which either may be given."""
         for attempt in range(_ROUNDS):
-            points = self._random_points(generator, START_CLEARANCE, goal)
-            if len(points):
-                poses = np.column_stack([points, generator.uniform(-math.pi, math.pi, len(points))])
-                views = self._views(poses)
-                first = int(np.argmax(views))
-                if views[first] > best_view:
-                    best_view, best = views[first], poses[first]
-            if best is not None and best_view >= (
-                self._wanted_view if attempt < _PATIENCE else self._task.collision_depth
-            ):
-                return best
+            wanted_view = self._wanted_view if attempt < _PATIENCE else self._task.collision_depth
+            points, room = self._random_points(generator)
+            begin = start
+            if begin is None:
+                begin = self._random_start(generator, points[room >= START_CLEARANCE], wanted_view)
+            if begin is not None:
+                ends = points if goal is None else goal[None]
+                ends = ends[goal_distance(begin, ends) >= self._task.goal_radius]
+                regions = self._chains.regions(np.vstack([begin[:2], ends]))
+                ends = ends[regions[1:] == regions[0]]
+                if len(ends):
+                    return begin, ends[0]
         raise ValueError(
-            f'world "{self._world.name}" has no room for a random start: none of {_ROUNDS * _POINTS} places was free'
+            f'world "{self._world.name}" has no room for an episode: of {_ROUNDS * _POINTS} random places none was '
+            "free for a start and connected with a goal; clear obstacles away or list its starts and goals"
         )
 
-    def _random_goal(self, generator: np.random.Generator, start: np.ndarray) -> np.ndarray:
-        for _ in range(_ROUNDS):
-            points = self._random_points(generator, 0.0, start)
-            if len(points):
-                return points[0]
-        raise ValueError(
-            f'world "{self._world.name}" has no room for a random goal: none of {_ROUNDS * _POINTS} places was '
-            "free and connected with the start"
-        )
+    def _random_start(
+        self, generator: np.random.Generator, points: np.ndarray, wanted_view: float
+    ) -> np.ndarray | None:
+        """The first of some poses at ``points`` with the longest view, if that is long enough."""
+        points = points[:_VIEWS]
+        if not len(points):
+            return None
+        poses = np.column_stack([points, generator.uniform(-math.pi, math.pi, len(points))])
+        views = self._views(poses)
+        longest = int(np.argmax(views))
+        return poses[longest] if views[longest] >= wanted_view else None
 
-    def _random_points(self, generator: np.random.Generator, spare: float, other: np.ndarray | None) -> np.ndarray:
-        """``(K, 2)`` places for the robot, K from 0 up, that are connected with ``other`` and far enough from it."""
+    def _random_points(self, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """``(K, 2)`` free places for the robot's centre, K from 0 up, and the room ``(K,)`` around it, both metres."""
         half = self._world.half_size
         points = generator.uniform(-half, half, (_POINTS, 2))
-        room = clearance(self._world.prisms, points, 0.0, self._robot.height)
-        points = points[room >= self._robot.radius + spare]
-        if other is not None:
-            points = points[goal_distance(points, other[:2]) >= self._task.goal_radius]
-            points = points[self._connected(points, other[:2])]
-        return points
+        room = self._footprints.nearest(points)[0] - self._robot.radius
+        return points[room >= 0.0], room[room >= 0.0]
+
+    @cached_property
+    def _footprints(self) -> Footprints:
+        """What stands in the robot's way."""
+        return Footprints.of([prism for prism in self._world.prisms if prism.overlaps_heights(0.0, self._robot.height)])
+
+    @cached_property
+    def _chains(self) -> Chains:
+        return Chains(self._footprints, self._robot.radius)

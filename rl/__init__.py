@@ -1,6 +1,29 @@
-"""Deep Q-learning for `navsim`, on TorchRL: environment, networks, loss, replay, training, evaluation, report."""
+"""Deep Q-learning for ``navsim``, on TorchRL: environment, networks, loss, replay, training, evaluation, report."""
 
-from rl.loss import D3QNLoss
-from rl.networks import make_q_actor
+import importlib
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["D3QNLoss", "make_q_actor"]
+if TYPE_CHECKING:
+    from rl.collect import make_env
+    from rl.env import NavEnv
+    from rl.loss import D3QNLoss
+    from rl.networks import make_q_actor
+    from rl.policies import load_policy
+
+__all__ = ["D3QNLoss", "NavEnv", "load_policy", "make_env", "make_q_actor"]
+
+_MODULES = {
+    "D3QNLoss": "rl.loss",
+    "NavEnv": "rl.env",
+    "load_policy": "rl.policies",
+    "make_env": "rl.collect",
+    "make_q_actor": "rl.networks",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Imports what is asked for: torch takes seconds to import, and ``navsim --help`` does without it."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = value = getattr(importlib.import_module(_MODULES[name]), name)
+    return value

@@ -1,1 +1,251 @@
-"""stub"""
+"""Policies to compare with: random, straight at the goal, a reactive controller, and the planning oracle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+
+from navsim.camera import DepthCamera
+from navsim.oracle import Oracle
+from navsim.robot import ACTIONS, INITIAL_COMMAND, NUM_ACTIONS, Robot, apply_actions, wrap_angle
+from navsim.scan import obstacle_depth, scan_points
+from navsim.task import Task
+from navsim.world import World
+
+_SPEEDS = np.array([action.linear or np.nan for action in ACTIONS])  # m/s that each action commands
+_TURNS = np.array([np.nan if action.angular is None else action.angular for action in ACTIONS])  # rad/s
+_SLOW, _FAST = int(np.nanargmin(_SPEEDS)), int(np.nanargmax(_SPEEDS))
+_LEFT, _RIGHT = int(np.nanargmax(_TURNS)), int(np.nanargmin(_TURNS))
+
+
+class RandomPolicy(TensorDictModuleBase):
+    """One of the seven actions, evenly, whatever is seen; drawn from torch's generator."""
+
+    name = "random"
+    in_keys = ("heading",)
+    out_keys = ("action",)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes ``action``, ``(...)`` int64."""
+        tensordict["action"] = torch.randint(NUM_ACTIONS, tensordict.batch_size, device=tensordict.device)
+        return tensordict
+
+
+class _Driver(TensorDictModuleBase):
+    """A policy that wants a speed and a turn, and remembers the command in force as ``command`` in the tensordict.
+
+    An action changes only one of the two. Braking comes first, then turning, then speeding up.
+    """
+
+    in_keys = ("depth", "heading")
+    out_keys = ("action", "command")
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes ``action`` ``(N,)`` int64, and ``command`` ``(N, 2)``, m/s and rad/s.
+
+        ``is_init`` ``(N, 1)``, as TorchRL's ``InitTracker`` writes it, begins a robot's memory anew; without the key
+        it begins where ``command`` is missing.
+        """
+        headings = tensordict["heading"].reshape(-1).cpu().numpy().astype(np.float64)
+        commands = _remembered(tensordict, "command", np.tile(INITIAL_COMMAND, (len(headings), 1)))
+        speed_actions, turn_actions = self._wanted(tensordict, headings, commands)
+        actions = _one_of(commands, speed_actions, turn_actions)
+        _write(tensordict, "command", apply_actions(commands, actions))
+        _write(tensordict, "action", actions)
+        return tensordict
+
+    def _wanted(
+        self, tensordict: TensorDictBase, headings: np.ndarray, commands: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The actions, both ``(N,)``, that command the wanted speeds and the wanted turns."""
+        raise NotImplementedError
+
+
+def _remembered(tensordict: TensorDictBase, key: str, initial: np.ndarray) -> np.ndarray:
+    value = tensordict.get(key, None)
+    if value is None:
+        return initial
+    memory = value.cpu().numpy()
+    is_init = tensordict.get("is_init", None)
+    if is_init is None:
+        return memory
+    begins = is_init.reshape(-1).cpu().numpy()
+    return np.where(begins.reshape(-1, *[1] * (memory.ndim - 1)), initial, memory)
+
+
+def _write(tensordict: TensorDictBase, key: str, value: np.ndarray) -> None:
+    tensordict[key] = torch.from_numpy(value).to(tensordict["heading"].device)
+
+
+def _one_of(commands: np.ndarray, speed_actions: np.ndarray, turn_actions: np.ndarray) -> np.ndarray:
+    """``(N,)`` of two actions each, the one to take first from commands ``(N, 2)``."""
+    speeds, turns = _SPEEDS[speed_actions], _TURNS[turn_actions]
+    brakes = speeds < commands[:, 0]
+    speeds_up = (speeds > commands[:, 0]) & (turns == commands[:, 1])
+    return np.where(brakes | speeds_up, speed_actions, turn_actions)
+
+
+def _turn_actions(rates: np.ndarray) -> np.ndarray:
+    """``(N,)`` the actions whose turns are nearest to ``rates`` (N,), rad/s."""
+    return np.nanargmin(np.abs(_TURNS - rates[:, None]), axis=1)
+
+
+class StraightPolicy(_Driver):
+    """Turns to the goal and drives at it, whatever stands in the way."""
+
+    name = "straight"
+
+    def _wanted(
+        self, tensordict: TensorDictBase, headings: np.ndarray, commands: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        return np.where(np.abs(headings) < np.pi / 4, _FAST, _SLOW), _turn_actions(headings)
+
+
+class ReactivePolicy(_Driver):
+    """Follows the gap in the newest depth image that costs least, in the manner of a vector field histogram.
+
+    The image becomes a scan: the nearest thing in each column that is neither floor nor out of reach above. In each of
+    55 directions a corridor as wide as the robot is followed until it meets the scan. A direction costs the angle to the
+    goal, the angle to straight ahead and to the direction chosen last, so that it does not waver, and it costs more the
+    sooner its corridor ends. (Borenstein and Koren 1991, Ulrich and Borenstein 1998, without their map of what was
+    seen before: like the networks, it forgets. Unlike them it sees one image only.) The robot cannot stop: when
+    something comes near the depth that counts as a collision, it turns away from it as hard as it can.
+
+    Its constants were tuned in ``complex_train`` and in rooms with its obstacles shuffled, never in a room to evaluate in.
+
+    Args:
+        camera: whose images they are; by default the Kinect, at whatever size the images have.
+    """
+
+    name = "reactive"
+
+    _LOOK_AHEAD = 0.4
+    """Seconds: distances are judged from where the robot will be by then, as actions come in one at a time."""
+    _HALF_WIDTH = 0.27
+    """Of a corridor, metres: the robot's radius and 9 cm to spare."""
+    _FREE = 0.5
+    """Corridors that stay free this far are as good as endless, metres."""
+    _NEEDED = 0.6
+    """A direction whose corridor ends sooner is for emergencies, metres."""
+    _FAST = 0.6
+    """Free way ahead at which the robot goes fast, metres."""
+    _NEAR = 0.5
+    """Planar depth at which it turns away from whatever is there, metres."""
+    _WEIGHTS = {"ahead": 0.4, "last": 0.6, "blocked": 5.0, "emergency": 5.0}
+    """Of the terms of a direction's cost, beside 1 for the angle to the goal, per radian or at most."""
+    _GAIN = 0.8
+    """Turn rate for each radian to the chosen direction, 1/s."""
+    _SHARP = 1.2
+    """Angle to the chosen direction beyond which it goes slowly, radians."""
+
+    _DIRECTIONS = np.deg2rad(np.arange(-135.0, 136.0, 5.0))
+
+    def __init__(self, camera: DepthCamera | None = None) -> None:
+        super().__init__()
+        self._camera = camera
+
+    def _wanted(
+        self, tensordict: TensorDictBase, headings: np.ndarray, commands: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        images = tensordict["depth"][:, -1].cpu().numpy()
+        camera = self._camera or replace(DepthCamera(), height=images.shape[1], width=images.shape[2])
+        if images.shape[1:] != (camera.height, camera.width):
+            raise ValueError(
+                f"the reactive policy is for images of {camera.width}x{camera.height} pixels; it got "
+                f"{images.shape[2]}x{images.shape[1]}: give make_baseline the camera that they come from"
+            )
+        last = _remembered(tensordict, "direction", headings)
+        scan = obstacle_depth(images, camera)
+        free = self._free_distances(scan, camera, commands)
+        directions, free_there = self._choose(free, headings, last)
+
+        left, right = np.split(scan - (self._LOOK_AHEAD * commands[:, 0])[:, None], 2, axis=1)
+        left, right = left.min(axis=1), right.min(axis=1)
+        evades = np.minimum(left, right) < self._NEAR
+        side = np.where(left > right, 1.0, -1.0)
+        turns = np.where(evades, np.where(side > 0, _LEFT, _RIGHT), _turn_actions(self._GAIN * directions))
+        # What it evades, it goes on to evade: a direction on the other side is forgotten.
+        directions = np.where(evades & (np.sign(directions) != side), side * np.pi / 6, directions)
+        free_ahead = free[:, len(self._DIRECTIONS) // 2]
+        fast = ~evades & (np.minimum(free_ahead, free_there) > self._FAST) & (np.abs(directions) < self._SHARP)
+        speeds = np.where(fast, _FAST, _SLOW)
+
+        turned = apply_actions(commands, _one_of(commands, speeds, turns))[:, 1] * Task.control_period
+        _write(tensordict, "direction", wrap_angle(directions - turned))
+        return speeds, turns
+
+    def _free_distances(self, scan: np.ndarray, camera: DepthCamera, commands: np.ndarray) -> np.ndarray:
+        """``(N, D)`` metres that a corridor in each direction is free, from the robot's rim."""
+        points = np.where((scan < camera.max_range)[..., None], scan_points(scan, camera), np.inf).astype(np.float32)
+        points[..., 0] -= (self._LOOK_AHEAD * commands[:, 0])[:, None]
+        forward = np.stack([np.cos(self._DIRECTIONS), np.sin(self._DIRECTIONS)]).astype(np.float32)
+        leftward = np.stack([-forward[1], forward[0]])
+        along, across = points @ forward, points @ leftward  # (N, W, D)
+        met = (along > 0.0) & (np.abs(across) < self._HALF_WIDTH)
+        return np.where(met, along, np.inf).min(axis=1) - self._HALF_WIDTH
+
+    def _choose(self, free: np.ndarray, headings: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The directions that cost least, ``(N,)`` radians, and the free distances there, ``(N,)`` metres."""
+
+        def angles_to(others: np.ndarray) -> np.ndarray:
+            return np.abs(wrap_angle(self._DIRECTIONS - others[:, None]))
+
+        weights = self._WEIGHTS
+        costs = (
+            angles_to(headings)
+            + weights["last"] * angles_to(last)
+            + weights["ahead"] * np.abs(self._DIRECTIONS)
+            + weights["blocked"] * (1.0 - np.clip(free / self._FREE, 0.0, 1.0))
+            + weights["emergency"] * (free < self._NEEDED)
+        )
+        best = costs.argmin(axis=1)
+        return self._DIRECTIONS[best], np.take_along_axis(free, best[:, None], axis=1)[:, 0]
+
+
+class OraclePolicy:
+    """The planning oracle: it knows the map, and shows what the rules allow. See ``navsim.oracle``."""
+
+    name = "oracle"
+
+    def plan(
+        self, world: World, starts: np.ndarray, goals: np.ndarray, camera: DepthCamera, task: Task, robot: Robot
+    ) -> Iterator[np.ndarray | None]:
+        """For each start pose ``(P, 3)`` and goal ``(P, 2)`` the actions, ``(K,)``, or None where it found no way."""
+        oracle = Oracle(world, camera, task, robot)
+        for start, goal in zip(starts, goals, strict=True):
+            yield oracle.plan(start, goal)
+
+
+Baseline = RandomPolicy | StraightPolicy | ReactivePolicy | OraclePolicy
+
+_MAKERS: dict[str, Callable[[DepthCamera | None], Baseline]] = {
+    "random": lambda camera: RandomPolicy(),
+    "straight": lambda camera: StraightPolicy(),
+    "reactive": ReactivePolicy,
+    "oracle": lambda camera: OraclePolicy(),
+}
+
+BASELINES = tuple(_MAKERS)
+"""Names that :func:`make_baseline` knows."""
+
+
+def make_baseline(name: str, camera: DepthCamera | None = None) -> Baseline:
+    """A policy to compare with, to be evaluated with ``rl.evaluate.evaluate``.
+
+    All but the oracle are TensorDictModules, which work in TorchRL's collectors as well.
+
+    Args:
+        name: one of ``BASELINES``.
+        camera: whose images it will see; by default the Kinect, at whatever size the images have.
+
+    Raises:
+        ValueError: for another name.
+    """
+    if name not in _MAKERS:
+        raise ValueError(f'there is no baseline "{name}"; there are {", ".join(BASELINES)}')
+    return _MAKERS[name](camera)

@@ -40,7 +40,7 @@ _PARTS: dict[str, tuple[tuple[Any, str], ...]] = {
 _REST = "TorchRL"
 
 
-def bench_env(console: Console, *, world: str = "complex_train", steps: int = 4_096) -> float:
+def run(console: Console, *, world: str = "complex_train", steps: int = 4_096) -> float:
     """Prints transitions a second of 16 robots with 80x64 images, stacks of four, random actions, on one thread.
 
     Args:
@@ -60,7 +60,9 @@ def bench_env(console: Console, *, world: str = "complex_train", steps: int = 4_
     batches = iter(collector)
     collect = lambda count: [next(batches) for _ in range(0, count, BATCH)]  # noqa: E731
     collect(_WARM_UP)
-    rounds = track(range(_ROUNDS), "collecting", console=console, transient=True)
+    rounds = track(
+        range(_ROUNDS), "collecting", console=console, transient=True, disable=not console.is_terminal
+    )
     rates = [steps / _seconds(lambda: collect(steps)) for _ in rounds]
     with _stopwatch() as spent:
         total = _seconds(lambda: collect(steps))
@@ -77,7 +79,7 @@ def bench_env(console: Console, *, world: str = "complex_train", steps: int = 4_
 
 
 def _breakdown(spent: dict[str, float], total: float, microseconds: float) -> Table:
-    table = Table(title="where a transition's time goes", caption="measured with stopwatches in place, which cost a little")
+    table = Table(title="where a transition's time goes", title_justify="left")
     table.add_column("part")
     table.add_column("share", justify="right")
     table.add_column("µs", justify="right")

@@ -46,7 +46,7 @@ class Measurement(NamedTuple):
     """if all operations of the peer's update ran as fast as a large product of matrices"""
 
 
-def bench_learner(console: Console, *, num_threads: int = 1, seconds: float = _SECONDS_A_ROUND) -> list[Measurement]:
+def run(console: Console, *, num_threads: int = 1, seconds: float = _SECONDS_A_ROUND) -> list[Measurement]:
     """Prints updates a second: loss, gradients, Adam and soft target update, without the replay.
 
     Ours and the peer take turns, round by round, and medians are compared, so that a machine that gets busy meanwhile
@@ -61,7 +61,7 @@ def bench_learner(console: Console, *, num_threads: int = 1, seconds: float = _S
     settings = [(size, number_format) for size in BATCH_SIZES for number_format in FORMATS]
     peaks = {number_format: _matmul_rate(number_format) for number_format in FORMATS}
     measured = []
-    for size, number_format in track(settings, "learning", console=console, transient=True):
+    for size, number_format in track(settings, "learning", console=console, transient=True, disable=not console.is_terminal):
         measured.append(_compare(size, number_format, peaks[number_format], seconds))
     console.print(_table(measured, peaks, num_threads))
     return measured
@@ -79,9 +79,7 @@ def _compare(batch_size: int, number_format: Literal["float32", "bfloat16"], pea
         _rate(update, 0.2)
     rates = [[_rate(update, seconds) for update in contestants] for _ in range(_ROUNDS)]
     ours, theirs = (statistics.median(column) for column in zip(*rates, strict=True))
-    with FlopCounterMode(display=False) as operations:
-        peer.update(sample.copy())
-    return Measurement(batch_size, number_format, ours, theirs, peak / operations.get_total_flops())
+    return Measurement(batch_size, number_format, ours, theirs, peak / peer.operations(sample))
 
 
 def random_sample(batch_size: int, camera: DepthCamera) -> TensorDict:
@@ -120,9 +118,9 @@ class PeerLearner:
     """
 
     def __init__(self, config: TrainConfig) -> None:
-        network = _DuelingNetwork()
-        network(*(random_sample(1, config.camera)[key] for key in ("depth", "heading")))  # sizes the lazy layers
-        module = TensorDictModule(network, in_keys=["depth", "heading"], out_keys=["action_value"])
+        self.network = _DuelingNetwork()
+        self._evaluate(random_sample(1, config.camera))  # sizes the lazy layers
+        module = TensorDictModule(self.network, in_keys=["depth", "heading"], out_keys=["action_value"])
         actor = QValueActor(module, in_keys=["depth", "heading"], action_space="categorical")
         self.loss = DQNLoss(
             actor, loss_function=config.loss_function, delay_value=True, double_dqn=True, action_space="categorical"
@@ -144,6 +142,18 @@ class PeerLearner:
         self.optimiser.step()
         self.target_updater.step()
         return loss.detach()
+
+    def operations(self, sample: TensorDict) -> int:
+        """Floating point operations of an update: s with gradients, s' with both networks."""
+        with FlopCounterMode(display=False) as counter:
+            self._evaluate(sample).sum().backward()
+            with torch.no_grad():
+                self._evaluate(sample)
+                self._evaluate(sample)
+        return counter.get_total_flops()
+
+    def _evaluate(self, sample: TensorDict) -> Tensor:
+        return self.network(sample["depth"], sample["heading"])
 
 
 class _DuelingNetwork(nn.Module):

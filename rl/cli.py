@@ -1,7 +1,7 @@
 """The ``navsim`` command: what can be typed, and how mistakes are told. Each command calls one part of the library.
 
-Everything that takes long to import is imported where it is used, so that ``navsim --help`` answers at once. That is
-also why annotations are not deferred here: tyro reads those of :func:`_training_settings`, which are local.
+What takes long to import is imported where it is used: ``navsim --help`` answers at once. Annotations are not deferred
+here, because tyro reads those of ``_training_settings``, some of which are local to it.
 """
 
 import argparse
@@ -12,11 +12,11 @@ import traceback
 from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import tyro
 from rich.console import Console
-from tyro.conf import OmitArgPrefixes, Positional, arg
+from tyro.conf import DisallowNone, FlagCreatePairsOff, OmitArgPrefixes, Positional, PositionalMetavarFromFieldName, arg
 from tyro.extras import SubcommandApp
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ INTERRUPTED = 130
 
 _DESCRIPTION = """Train and evaluate robots that find their way by depth images.
 
-`navsim COMMAND --help` explains a command, `navsim --version` tells the version."""
+Type "navsim COMMAND --help" for all that a command takes, and "navsim --version" for the version."""
 
 _navsim, _world, _bench = SubcommandApp(), SubcommandApp(), SubcommandApp()
 
@@ -40,7 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Returns:
         the exit status: 0, or 2 for what the user can put right (told in a sentence on standard error), or 130 after
-        Ctrl-C. Mistakes of this library's own leave as exceptions.
+        Ctrl-C. Mistakes of this library leave as exceptions.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     try:
@@ -48,7 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SystemExit as end:  # tyro has printed help, or what is wrong with the arguments
         return end.code if isinstance(end.code, int) else USAGE_ERROR
     except KeyboardInterrupt as interruption:
-        print(f"\n{interruption or 'interrupted'}", file=sys.stderr)
+        print(str(interruption) or "interrupted", file=sys.stderr)
         return INTERRUPTED
     except (ValueError, OSError) as error:
         if not _is_for_the_user(error):
@@ -64,7 +64,12 @@ def _dispatch(arguments: list[str]) -> None:
     elif arguments[:1] == ["train"]:
         train(*arguments[1:])
     else:
-        _navsim.cli(prog="navsim", description=_DESCRIPTION, args=arguments or ["--help"])
+        _navsim.cli(
+            prog="navsim",
+            description=_DESCRIPTION,
+            args=arguments or ["--help"],
+            config=(PositionalMetavarFromFieldName, DisallowNone),
+        )
 
 
 def _is_for_the_user(error: ValueError | OSError) -> bool:
@@ -75,27 +80,245 @@ def _is_for_the_user(error: ValueError | OSError) -> bool:
     if isinstance(error, OSError):
         return error.filename is not None
     *_, (innermost, _) = traceback.walk_tb(error.__traceback__)
-    return innermost.f_globals.get("__name__", "").partition(".")[0] in ("navsim", "rl")
+    return innermost.f_globals["__name__"].partition(".")[0] in ("navsim", "rl", "__main__")
 
 
 def _version() -> str:
     try:
         return metadata.version("navsim-rl")
     except metadata.PackageNotFoundError:
-        return "(not installed: run from its source)"
+        return "(not installed: running from its source)"
+
+
+# Training and evaluation
 
 
 @_navsim.command
 def train(*arguments: str) -> None:
     """Train a robot, evaluate it in a room it has never seen, and write a report."""
     config, resume = _training_settings(arguments)
+    from rl.finish import finish
     from rl.run import Run
     from rl.train import train
 
     console = Console()
     try:
         run = train(config, resume=resume, console=console)
-        ...
+        if config.report:
+            finish(run, console)
     except KeyboardInterrupt:
+        if not Run(config.directory).exists:
+            raise
         again = shlex.join(["navsim", "train", "--resume", "--out", str(config.directory)])
         raise KeyboardInterrupt(f"stopped; to go on from the last checkpoint: {again}") from None
+
+
+@_navsim.command
+def evaluate(
+    run: Positional[str],
+    world: Annotated[str, arg(metavar="WORLD")],
+    json: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(optional)")] = None,
+    seed: int = 0,
+    num_paths: Annotated[int | None, arg(help_behavior_hint="(default: all, or 100 drawn ones)")] = None,
+) -> None:
+    """Drive all paths of a world with a trained policy or a baseline, and print how that went.
+
+    Args:
+        run: Directory of a run, or one of the baselines random, straight, reactive, oracle.
+        world: World file, or name of a shipped world.
+        json: File to write every path and all the numbers to.
+        seed: Seed of whatever the world leaves open: yaws of starts, starts, goals.
+        num_paths: Paths to drive: the first that the world lists, or this many if it leaves starts or goals open.
+    """
+    from rl.evaluate import comparison_table
+    from rl.evaluate import evaluate as drive
+    from rl.policies import find_policy
+
+    console = Console()
+    policy, config = find_policy(run)
+    result = drive(
+        policy,
+        world,
+        name=Path(run).name,
+        camera=config.camera,
+        task=config.task,
+        robot=config.robot,
+        seed=seed,
+        num_paths=num_paths,
+        console=console,
+    )
+    console.print(comparison_table([result]))
+    if json is not None:
+        result.save(json)
+        console.print(f"written to {json}")
+
+
+@_navsim.command
+def report(run: Positional[Path]) -> None:
+    """Write a run's HTML report anew, from its logs and evaluations.
+
+    Args:
+        run: Directory of the run.
+    """
+    from rl.report import write_report
+    from rl.run import Run
+
+    print(write_report(Run.open(run)))
+
+
+# Worlds
+
+_navsim.command(_world, name="world", help="Check world files, or draw one.")
+
+
+@_world.command
+def check(files: Positional[tuple[str, ...]]) -> None:
+    """Say whether world files keep the rules, and everything that is wrong with those that do not.
+
+    Args:
+        files: World files, or names of shipped worlds.
+    """
+    from navsim import WorldError, load_world
+
+    problems: list[str] = []
+    for file in files:
+        try:
+            print(f"{file}: {load_world(file)}")
+        except WorldError as error:
+            problems += error.problems
+    if problems:
+        raise WorldError(problems)
+
+
+@_world.command
+def show(
+    file: Positional[str],
+    output: Annotated[
+        Path | None, arg(aliases=["-o"], metavar="FILE", help_behavior_hint="(default: WORLD.png, here)")
+    ] = None,
+) -> None:
+    """Draw a world from above, with the shortest path between every start and goal.
+
+    Args:
+        file: World file, or name of a shipped world.
+        output: Picture to write, in the format that its suffix says: .png, .svg, .pdf.
+    """
+    from navsim import load_world
+    from navsim.show import save_plan_view
+
+    world = load_world(file)
+    print(save_plan_view(world, output or Path(f"{world.name}.png")))
+
+
+# Benchmarks
+
+_navsim.command(_bench, name="bench", help="Measure how fast this machine simulates and learns.")
+
+
+@_bench.command(name="camera")
+def bench_camera(peers: FlagCreatePairsOff[bool] = False) -> None:
+    """Depth images a second of the ray-caster.
+
+    Args:
+        peers: Measure other renderers of the same scenes as well, those that are installed.
+    """
+    from navsim.bench_camera import run
+
+    console = Console()
+    with console.status("rendering"):
+        run(peers=peers, console=console)
+
+
+@_bench.command(name="env")
+def bench_env(world: str = "complex_train") -> None:
+    """Transitions a second of the environment, and where their time goes.
+
+    Args:
+        world: World file, or name of a shipped world.
+    """
+    from rl.bench_env import run
+
+    run(Console(), world=world)
+
+
+@_bench.command(name="learner")
+def bench_learner(num_threads: int = 1) -> None:
+    """Updates a second of the learner, beside TorchRL's own loss and the processor's limit.
+
+    Args:
+        num_threads: CPU threads.
+    """
+    from rl.bench_learner import run
+
+    run(Console(), num_threads=num_threads)
+
+
+# The settings of `navsim train`
+
+_Part = TypeVar("_Part")
+
+
+def _training_settings(arguments: Sequence[str]) -> tuple["TrainConfig", bool]:
+    """The settings that the arguments ask for, and whether they are a begun run's, to be gone on with.
+
+    Raises:
+        ConfigError: for settings that cannot be used.
+        RunError: if they are not those of the run that is to be gone on with.
+    """
+    from rl.config import PRESETS
+
+    finder = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    finder.add_argument("--preset", nargs="?")
+    preset = finder.parse_known_args(arguments)[0].preset
+    config, resume = _parse(arguments, PRESETS.get(preset, PRESETS["fast"]))
+    from rl.run import Run, RunError
+
+    run = Run(config.directory)
+    if not (resume and run.exists):
+        return config, False
+    begun = dataclasses.replace(run.config, out=config.directory)
+    asked, _ = _parse(arguments, begun)
+    changed = [name for name, value in begun.to_dict().items() if value != asked.to_dict()[name]]
+    if changed:
+        raise RunError(
+            f"{config.directory} was begun with other settings ({', '.join(changed)}), and a run keeps its settings; "
+            "leave them out to go on with it, or choose another directory (--out) to begin anew"
+        )
+    return begun, True
+
+
+def _parse(arguments: Sequence[str], default: "TrainConfig") -> tuple["TrainConfig", bool]:
+    from navsim.camera import DepthCamera
+    from navsim.robot import Robot
+    from navsim.task import Task
+    from rl.config import Collection, Experiment, Exploration, Learning, Records, TrainConfig
+
+    def part(kind: type[_Part]) -> _Part:
+        names = [setting.name for setting in dataclasses.fields(kind)]  # type: ignore[arg-type]
+        return kind(**{name: getattr(default, name) for name in names})
+
+    def settings(
+        experiment: OmitArgPrefixes[Experiment] = part(Experiment),  # noqa: B008 - frozen, and made for this call
+        collection: OmitArgPrefixes[Collection] = part(Collection),  # noqa: B008
+        learning: OmitArgPrefixes[Learning] = part(Learning),  # noqa: B008
+        exploration: OmitArgPrefixes[Exploration] = part(Exploration),  # noqa: B008
+        records: OmitArgPrefixes[Records] = part(Records),  # noqa: B008
+        camera: DepthCamera = default.camera,
+        task: Task = default.task,
+        robot: Robot = default.robot,
+        resume: FlagCreatePairsOff[bool] = False,
+    ) -> tuple[TrainConfig, bool]:
+        groups: list[Any] = [experiment, collection, learning, exploration, records]
+        values = {name: value for group in groups for name, value in vars(group).items()}
+        return TrainConfig(**values, camera=camera, task=task, robot=robot), resume
+
+    settings.__doc__ = f"""{train.__doc__}
+
+    Args:
+        resume: Go on with the run in the run's directory, as it was begun, if there is one.
+    """
+    return tyro.cli(settings, prog="navsim train", args=arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -203,7 +203,7 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
             for name, part in parts:
                 if name in values:
                     values[name] = part(**values[name])
-        except TypeError as error:
+        except (TypeError, ValueError) as error:
             raise ConfigError(f"settings of the {name} cannot be used: {error}") from error
         if "world" in values:
             values["world"] = tuple(values["world"])

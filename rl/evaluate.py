@@ -6,7 +6,7 @@ import itertools
 import json
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -42,16 +42,17 @@ _Z_95 = 1.959963984540054  # the normal distribution's 97.5% quantile
 
 @runtime_checkable
 class Planner(Protocol):
-    """A policy that knows the map: it plans each path as a whole and is then executed without looking."""
+    """A policy that knows the map: it plans whole paths, which are then driven without looking."""
 
     def plan(
-        self, world: World, start: np.ndarray, goal: np.ndarray, camera: DepthCamera, task: Task, robot: Robot
-    ) -> np.ndarray | None:
-        """``(K,)`` actions from the start pose ``(3,)`` to the goal ``(2,)``, or None when there is no way."""
+        self, world: World, starts: np.ndarray, goals: np.ndarray, camera: DepthCamera, task: Task, robot: Robot
+    ) -> Iterable[np.ndarray | None]:
+        """For each start pose ``(P, 3)`` and goal ``(P, 2)``, ``(K,)`` actions, or None where no way was found."""
         ...
 
 
 Policy = Callable[[TensorDictBase], TensorDictBase] | Planner
+"""What can be evaluated: see :func:`evaluate`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,7 +293,8 @@ def evaluate(
     Args:
         policy: takes a tensordict with ``depth`` uint8 ``(N, 4, H, W)``, ``heading`` float32 ``(N, 1)``, ``pose``
             float32 ``(N, 3)`` and ``is_init`` bool ``(N, 1)``, true in an episode's first step, and writes ``action``
-            ``(N,)``. What else it writes is there in the next step: its memory, one row a robot. Or a planner.
+            ``(N,)``. What else it writes is there in the next step: its memory, one row a robot. Or a ``Planner``; a
+            path for which it has no plan counts as a timeout of no steps.
         world: a world, or the path or name of a world file.
         name: of the policy, for tables; by default the policy's own ``name``, or its class's.
         camera: image size and everything else about the camera.
@@ -317,8 +319,8 @@ def evaluate(
     with _progress(console, world.name, len(paths)) as advance:
         if isinstance(policy, Planner):
             plans = []
-            for start, goal in zip(starts, goals, strict=True):
-                plans.append(policy.plan(world, start, goal, simulator.camera, simulator.task, robot))
+            for plan in policy.plan(world, starts, goals, simulator.camera, simulator.task, robot):
+                plans.append(plan)
                 advance(1)
             driven = np.array([plan is not None for plan in plans])
             state["plan"] = _padded(plans, simulator.task.max_steps)
@@ -504,17 +506,17 @@ def comparison_table(evaluations: Sequence[Evaluation], *, title: str | None = N
         title: over the table; by default the worlds' names.
     """
     worlds = dict.fromkeys(evaluation.world for evaluation in evaluations)
-    table = Table(title=title or ", ".join(worlds), caption="brackets: Wilson 95% intervals")
-    table.add_column("policy", style="bold")
+    table = Table(title=title or ", ".join(worlds), caption="in brackets: Wilson's 95% intervals")
+    table.add_column("policy", style="bold", no_wrap=True)
     if len(worlds) > 1:
         table.add_column("world")
     for heading in ("paths", "success %", "collision %", "timeout %", "SPL", "steps", "reward"):
-        table.add_column(heading, justify="right")
+        table.add_column(heading, justify="right", no_wrap=True)
     for evaluation in evaluations:
         rates = []
         for outcome in OUTCOMES:
             low, high = evaluation.interval(outcome)
-            rates.append(f"{100 * evaluation.rate(outcome):.0f} [dim]\\[{100 * low:.0f}, {100 * high:.0f}][/dim]")
+            rates.append(f"{100 * evaluation.rate(outcome):.0f} [dim]({100 * low:.0f} to {100 * high:.0f})[/dim]")
         table.add_row(
             evaluation.policy,
             *([evaluation.world] if len(worlds) > 1 else []),

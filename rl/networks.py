@@ -136,10 +136,15 @@ class D3QN(nn.Module):
     torch.Size([2, 7])
     """
 
+    _rows: Tensor
+    _columns: Tensor
+
     def __init__(self, model: Model = "I", height: int = 64, width: int = 80) -> None:
         super().__init__()
         if model not in get_args(Model):
-            raise ValueError(f'model must be "I" (heading as an image plane) or "S" (heading as a scalar); got {model!r}')
+            raise ValueError(
+                f'model must be "I" (heading as an image plane) or "S" (heading as a scalar); got {model!r}'
+            )
         least = _CONVOLUTIONS[0].kernel
         if height < least[0] or width < least[1]:
             raise ValueError(
@@ -170,10 +175,11 @@ class D3QN(nn.Module):
         """Draws new weights from torch's global generator."""
         for layer in (self.conv1, self.conv2, self.conv3, self.value, self.advantage):
             nn.init.xavier_uniform_(layer.weight)
-            nn.init.zeros_(layer.bias)
-        for stream in self.streams.weight.split(STREAM_WIDTH):
+        for stream in self.streams.weight.data.split(STREAM_WIDTH):
             nn.init.xavier_uniform_(stream)
-        nn.init.zeros_(self.streams.bias)
+        for name, parameter in self.named_parameters():
+            if name.endswith("bias"):
+                nn.init.zeros_(parameter)
 
     def parameter_counts(self) -> dict[str, int]:
         """Weights and biases of each layer as a table of the network lists them, one stream beside the other.
@@ -261,17 +267,19 @@ class D3QN(nn.Module):
 
 
 def _coverage(size: int, kernel: int, stride: int) -> Tensor:
-    """Which places of a kernel, along one axis, lie inside the image at each place of the output: ``(output, kernel)``."""
+    """Which places of a kernel lie inside the image, along one axis: ``(places of output, places of kernel)``."""
     first = torch.arange(math.ceil(size / stride)) * stride - same_padding(size, kernel, stride)[0]
     place = first.unsqueeze(1) + torch.arange(kernel)
     return ((place >= 0) & (place < size)).float()
 
 
 def make_q_actor(model: Model = "I", height: int = 64, width: int = 80) -> QValueActor:
-    """The greedy policy of a new network: ``depth``, ``heading`` → ``action_value``, ``action``, ``chosen_action_value``.
+    """The greedy policy of a new network.
+
+    It reads ``depth`` and ``heading``, and writes ``action_value``, ``action`` and ``chosen_action_value``.
 
     Args:
-        model: ``"I"`` or ``"S"``, see ``D3QN``.
+        model: ``"I"`` or ``"S"``; see ``D3QN``.
         height: of the depth images, pixels.
         width: of the depth images, pixels.
 

@@ -26,7 +26,7 @@ from typing import IO, Any
 
 import torch
 
-from rl.config import ConfigError, TrainConfig
+from rl.config import TrainConfig
 
 METRICS = (
     "step episodes seconds steps_per_second success_rate collision_rate timeout_rate reward episode_length"
@@ -124,7 +124,7 @@ class Run:
             RunError: if one is there already.
         """
         run = cls(config.directory)
-        if (run.directory / "config.json").exists():
+        if run.exists:
             raise RunError(
                 f"{run.directory} already holds a run; go on with it (--resume), or choose another directory (--out)"
             )
@@ -141,9 +141,14 @@ class Run:
             RunError: if there is none.
         """
         run = cls(directory)
-        if not (run.directory / "config.json").is_file():
+        if not run.exists:
             raise RunError(f"{run.directory} is not a run's directory: it has no config.json")
         return run
+
+    @property
+    def exists(self) -> bool:
+        """Whether the directory holds a run."""
+        return (self.directory / "config.json").is_file()
 
     @property
     def config(self) -> TrainConfig:
@@ -155,7 +160,7 @@ class Run:
         path = self.directory / "config.json"
         try:
             return TrainConfig.from_dict(json.loads(path.read_text(encoding="utf-8")))
-        except (OSError, UnicodeDecodeError, json.JSONDecodeError, ConfigError, TypeError) as error:
+        except (OSError, ValueError, TypeError) as error:
             raise RunError(f"{path} cannot be used: {error}") from error
 
     def save_policy(self, name: str, state_dict: Mapping[str, torch.Tensor]) -> None:

@@ -27,7 +27,7 @@ Cast = Callable[[np.ndarray, np.ndarray], np.ndarray]
 _SAGITTA = 2e-6
 """How far a mesh's cylinder may stand away from the circle, metres; further only where that takes 3000 segments."""
 
-_WINDOW = 25.0
+_WINDOW = 15.0
 """Half side of the square around its centre that a mesh covers, metres: single precision is kept for what is near."""
 
 

@@ -240,7 +240,7 @@ def test_random_places_fill_the_room():
 
 def test_a_world_without_room_says_so():
     world = make_world({"box": {"at": [0, 0], "size": [6.9, 6.9], "height": 1.0}})
-    with pytest.raises(ValueError, match="no room for a random start"):
+    with pytest.raises(ValueError, match="no room for an episode"):
         drawn(world, 1)
 
 

@@ -1,0 +1,51 @@
+"""The end of a run: its best policy beside the baselines in a room that it has never seen, and the report on it all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Console
+
+from navsim.worldfile import load_world
+from rl.baselines import BASELINES, make_baseline
+from rl.evaluate import comparison_table, evaluate
+from rl.policies import load_policy
+from rl.report import write_report
+from rl.run import Run
+
+
+def finish(run: Run, console: Console) -> Path:
+    """Evaluates a run's best policy and the baselines, stores and prints what came out, and writes the report.
+
+    Args:
+        run: a run that has been evaluated at least once.
+        console: where progress and results are shown.
+
+    Returns:
+        the report's path.
+
+    Raises:
+        RunError: for a run that lacks files.
+        navsim.WorldError: for a world file that cannot be used.
+    """
+    config = run.config
+    world = load_world(config.eval_world)
+    policies = {f"D3QN-{config.model}": load_policy(run.directory)} | {name: make_baseline(name) for name in BASELINES}
+    evaluations = []
+    for name, policy in policies.items():
+        result = evaluate(
+            policy,
+            world,
+            name=name,
+            camera=config.camera,
+            task=config.task,
+            robot=config.robot,
+            seed=config.seed,
+            console=console,
+        )
+        result.save(run.directory / "evaluation" / f"{name}.json")
+        evaluations.append(result)
+    console.print(comparison_table(evaluations))
+    report = write_report(run)
+    console.print(f"report: {report}")
+    return report

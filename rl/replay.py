@@ -1,0 +1,403 @@
+"""A replay of image transitions that stores every depth image once.
+
+A transition holds two stacks of four images, but a step of the environment brings one new image: stored as they come,
+50,000 transitions of 80 x 64 pixels take 2.0 GB, stored once they take 0.27 GB. ``make_replay`` builds TorchRL's replay
+buffer from TorchRL's parts (storage, sampler, n-step returns, checkpoints) and ``SharedFrames``, the transform that
+puts image numbers in place of images on the way in and looks the images up on the way out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl import logger
+from torchrl.data import LazyTensorStorage, PrioritizedSampler, RandomSampler, TensorDictReplayBuffer
+from torchrl.data.replay_buffers.storages import Storage
+from torchrl.envs.transforms import Compose, MultiStepTransform, Transform
+
+from navsim.robot import MIRRORED_ACTIONS
+
+PRIORITY_EXPONENT = 0.3
+"""α of prioritised replay: 0.6 in Schaul et al. 2016 (arXiv 1511.05952), halved for squared errors."""
+
+IMPORTANCE_EXPONENT = 0.4
+"""β of prioritised replay, from the same article."""
+
+
+def make_replay(
+    capacity: int,
+    height: int = 64,
+    width: int = 80,
+    *,
+    batch_size: int,
+    n_step: int = 1,
+    gamma: float = 0.99,
+    prioritized: bool = False,
+    mirror: bool = False,
+    generator: torch.Generator | None = None,
+) -> TensorDictReplayBuffer:
+    """TorchRL's replay buffer for ``NavEnv``'s transitions, with shared images.
+
+    ``extend`` takes what one collector yields, batches ``(N, T)`` of N environments and T steps, in order; ``sample``
+    returns ``batch_size`` transitions with the keys ``depth``, ``heading``, ``action``, ``steps_to_next_obs``,
+    ``index`` and ``next``: ``depth``, ``heading``, ``reward``, ``done``, ``terminated``; if prioritised, also
+    ``priority_weight``. The last ``n_step`` steps of each environment wait until the steps after them are known.
+
+    Args:
+        capacity: transitions kept; a new one replaces the oldest.
+        height: of the depth images, pixels.
+        width: of the depth images, pixels.
+
+    Keyword Args:
+        batch_size: of a sample.
+        n_step: rewards summed into one, as far as the episode goes; ``next`` is the observation after the last of them.
+        gamma: discount of the sum, a step.
+        prioritized: whether large errors are sampled more often (``update_tensordict_priority`` after the loss).
+        mirror: whether half of each sample is mirrored, see ``MirroredHalf``.
+        generator: of the sampled indices; by default, one seeded from torch's global generator.
+
+    Raises:
+        ValueError: for a capacity, batch size or number of steps below 1.
+
+    Sampling from another thread than the one that extends (TorchRL's ``prefetch``) is not supported.
+
+    >>> replay = make_replay(100, height=10, width=14, batch_size=8)
+    >>> stack = torch.zeros(2, 5, 4, 10, 14, dtype=torch.uint8)
+    >>> seen, flag = {"depth": stack, "heading": torch.zeros(2, 5, 1)}, torch.zeros(2, 5, 1, dtype=torch.bool)
+    >>> after = {**seen, "reward": torch.zeros(2, 5, 1), "done": flag, "terminated": flag}
+    >>> batch = TensorDict({**seen, "action": torch.zeros(2, 5, dtype=torch.int64), "next": after}, [2, 5])
+    >>> indices = replay.extend(batch)
+    >>> replay.sample()["next", "depth"].shape
+    torch.Size([8, 4, 10, 14])
+    """
+    for name, value in (("capacity", capacity), ("batch_size", batch_size), ("n_step", n_step)):
+        if value < 1:
+            raise ValueError(f"{name} of a replay must be at least 1; got {value}")
+    if generator is None:
+        generator = torch.Generator().manual_seed(int(torch.randint(2**63 - 1, ())))
+    storage = LazyTensorStorage(capacity)
+    transforms: list[Transform] = [SharedFrames(storage, height, width, n_step=n_step, gamma=gamma)]
+    if mirror:
+        transforms.append(MirroredHalf())
+    return TensorDictReplayBuffer(
+        storage=storage,
+        sampler=ArrayPrioritizedSampler(capacity) if prioritized else RandomSampler(),
+        transform=Compose(*transforms),
+        batch_size=batch_size,
+        generator=generator,
+    )
+
+
+class FrameStore:
+    """Numbered images, and room made by forgetting those whose numbers nobody holds any more.
+
+    Memory is reserved for ``most`` images, but the operating system provides it only where it is written to, and low
+    numbers are given first, so what is used is what is needed.
+
+    Args:
+        expected: images to have room for before the first sweep.
+        most: images to reserve memory for; more are possible, at the price of a copy of all.
+        height: pixels.
+        width: pixels.
+    """
+
+    def __init__(self, expected: int, most: int, height: int, width: int) -> None:
+        self._slack = max(16, expected // 32)
+        self._images = np.empty((max(most, expected + self._slack), height, width), np.uint8)
+        self._free = np.empty(0, np.int32)
+        self._size = 0
+        self._grow(expected + self._slack)
+
+    def __len__(self) -> int:
+        """Images that there is room for."""
+        return self._size
+
+    def reserve(self, count: int, held: Callable[[], Iterable[np.ndarray]]) -> np.ndarray:
+        """Numbers for new images.
+
+        Args:
+            count: how many.
+            held: yields, in arrays of any shape, the numbers that are still in use; asked only if room runs out.
+
+        Returns:
+            ``(count,)`` int32.
+        """
+        if count > len(self._free):
+            unused = np.ones(self._size, bool)
+            for numbers in held():
+                unused[numbers] = False
+            self._free = np.flatnonzero(unused)[::-1].astype(np.int32)
+            self._grow(count + self._slack - len(self._free))  # else the next sweep would come too soon
+        keep = len(self._free) - count
+        numbers, self._free = self._free[keep:], self._free[:keep]
+        return numbers
+
+    def _grow(self, count: int) -> None:
+        if count <= 0:
+            return
+        size = self._size + count
+        if size > len(self._images):
+            larger = np.empty((size + size // 4, *self._images.shape[1:]), np.uint8)
+            larger[: self._size] = self._images[: self._size]
+            self._images = larger
+        self._free = np.concatenate([np.arange(self._size, size, dtype=np.int32)[::-1], self._free])
+        self._size = size
+
+    def __setitem__(self, numbers: np.ndarray, images: np.ndarray) -> None:
+        """Puts images, ``(..., H, W)``, under numbers ``(...)``."""
+        self._images[numbers] = images
+
+    def __getitem__(self, numbers: np.ndarray) -> np.ndarray:
+        """The images, ``(..., H, W)``, under numbers ``(...)``; a copy."""
+        return np.take(self._images, numbers, axis=0)  # faster than indexing, and than torch.index_select
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything to go on from; the images are not copied."""
+        written = 1 + int(np.setdiff1d(np.arange(self._size), self._free, assume_unique=True).max(initial=-1))
+        return {
+            "images": torch.from_numpy(self._images[:written]),
+            "free": torch.from_numpy(self._free.copy()),
+            "size": self._size,
+        }
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Goes on from ``state_dict``.
+
+        Raises:
+            ValueError: if its images are of another size.
+        """
+        images, size = state_dict["images"].numpy(), state_dict["size"]
+        if images.shape[1:] != self._images.shape[1:]:
+            raise ValueError(
+                f"the saved replay holds images of {images.shape[2]} x {images.shape[1]} pixels, this one is for"
+                f" {self._images.shape[2]} x {self._images.shape[1]}; use the saved run's image size"
+            )
+        if size > len(self._images):
+            self._images = np.empty((size, *images.shape[1:]), np.uint8)
+        self._images[: len(images)] = images
+        self._free, self._size = state_dict["free"].numpy().copy(), size
+
+
+class SharedFrames(MultiStepTransform):
+    """TorchRL's n-step returns over transitions whose images are stored once.
+
+    On the way in, stacks of images become stacks of numbers of images in a ``FrameStore``: every step brings one new
+    image, the newest of ``next``; an episode's first step also its first. On the way out, numbers become images again.
+    An image is forgotten once no transition in the storage, none that waits for its n-step return, and no environment's
+    present stack holds its number.
+
+    A step continues the one before it if that was not ``done`` and its stack is the other's next stack, byte for byte.
+    Where a stream of steps breaks without ``done`` (a collector was reset, or a run resumed from a checkpoint), it
+    counts as cut off there by a time limit: n-step returns stop and bootstrap at the last observation seen.
+
+    Two things differ from ``MultiStepTransform``. It leaves ``done`` and ``terminated`` as they were after the first of
+    the n steps, so that returns which end in a terminal step bootstrap from beyond it; here they are those after the
+    last step. And it forgets the waiting steps in checkpoints.
+
+    Args:
+        storage: of the replay buffer that this transform belongs to, one-dimensional.
+        height: of the images, pixels.
+        width: of the images, pixels.
+        n_step: rewards summed into one.
+        gamma: discount a step.
+    """
+
+    _OBSERVED = ("depth", "heading")
+    _KEYS = (*_OBSERVED, "action", *(("next", key) for key in (*_OBSERVED, "reward", "done", "terminated")))
+
+    def __init__(self, storage: Storage, height: int, width: int, *, n_step: int, gamma: float) -> None:
+        super().__init__(n_step, gamma, done_keys=[])
+        self._storage = storage
+        self._frames = FrameStore(storage.max_size, 2 * storage.max_size, height, width)
+        self._current: np.ndarray | None = None
+        self._running: np.ndarray | None = None
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Looks up the images of records that were read from the storage."""
+        for key in ("depth", ("next", "depth")):
+            tensordict.set(key, torch.from_numpy(self._frames[tensordict.get(key).numpy()]))
+        return tensordict
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase | None:
+        """Records, one-dimensional and oldest first, of the steps whose n-step return is known by now."""
+        steps = tensordict.select(*self._KEYS).to("cpu")
+        steps = steps.reshape(-1, steps.shape[-1])
+        depth, next_depth = steps.pop("depth"), steps.pop(("next", "depth"))
+        steps = steps.clone()  # collectors may write their next batch into the same memory
+        done = steps["next", "done"].squeeze(-1).numpy()
+        numbers, next_numbers = self._number(depth.numpy(), next_depth.numpy(), done)
+        steps.set("depth", torch.from_numpy(numbers))
+        steps.set(("next", "depth"), torch.from_numpy(next_numbers))
+        records = super()._inv_call(steps)
+        if records is None:
+            return None
+        records = records.select(*self._KEYS, "steps_to_next_obs").transpose(0, 1).reshape(-1)
+        return records[-self._storage.max_size :]
+
+    def _number(self, depth: np.ndarray, next_depth: np.ndarray, done: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Stores the new images of a batch, and marks in ``done`` where its streams break.
+
+        Args:
+            depth: ``(N, T, 4, H, W)``.
+            next_depth: ``(N, T, 4, H, W)``.
+            done: ``(N, T)``, changed in place.
+
+        Returns:
+            numbers of the images in ``depth`` and ``next_depth``, ``(N, T, 4)`` int32.
+        """
+        n, t = done.shape
+        if self._current is None or self._running is None:
+            self._current, self._running = np.zeros((n, depth.shape[2]), np.int32), np.zeros(n, bool)
+        if n != len(self._current):
+            raise ValueError(
+                f"a replay is fed by one collector; it knows {len(self._current)} environments, and now got {n}"
+            )
+        if not np.array_equal(next_depth[:, :, :-1], depth[:, :, 1:]):
+            raise ValueError('("next", "depth") must be "depth" moved on by one image, the newest last')
+
+        continues = np.empty((n, t), bool)
+        continues[:, 0] = self._running & _same(depth[:, 0], self._frames[self._current], leading=1)
+        self._mark_cut(self._running & ~continues[:, 0])
+        unbroken = _same(depth[:, 1:], next_depth[:, :-1], leading=2)
+        continues[:, 1:] = ~done[:, :-1] & unbroken
+        done[:, :-1] |= ~unbroken
+
+        starts = depth[~continues]
+        fresh = np.ones(starts.shape[:2], bool)  # an episode's first stack is one image, repeated
+        fresh[:, 1:] = ~_same(starts[:, 1:], starts[:, :-1], leading=2)
+        new = self._frames.reserve(n * t + np.count_nonzero(fresh), self._held)
+        newest, first = new[: n * t].reshape(n, t), new[n * t :]
+        self._frames[newest] = next_depth[:, :, -1]
+        self._frames[first] = starts[fresh]
+
+        numbers = np.empty((n, t, depth.shape[2]), np.int32)
+        next_numbers = np.empty_like(numbers)
+        numbers[~continues] = first[np.cumsum(fresh) - 1].reshape(fresh.shape)
+        current = self._current
+        for step in range(t):
+            numbers[:, step] = np.where(continues[:, step, None], current, numbers[:, step])
+            next_numbers[:, step, :-1] = numbers[:, step, 1:]
+            next_numbers[:, step, -1] = newest[:, step]
+            current = next_numbers[:, step]
+        self._current, self._running = current.copy(), ~done[:, -1]
+        return numbers, next_numbers
+
+    def _mark_cut(self, cut: np.ndarray) -> None:
+        """Ends the streams ``(N,)`` at their last step, which waits for its n-step return."""
+        if self._buffer is not None:
+            self._buffer["next", "done"][:, -1, 0] |= torch.from_numpy(cut)
+
+    def _held(self) -> Iterator[np.ndarray]:
+        """Numbers of all images that are still needed."""
+        assert self._current is not None
+        yield self._current
+        for records in (self._buffer, self._storage.get(slice(None)) if len(self._storage) else None):
+            if records is not None:
+                yield records["depth"].numpy()
+                yield records["next", "depth"].numpy()
+
+    def get_extra_state(self) -> dict[str, Any]:
+        """The images, and what is known of the environments' present steps."""
+        return {
+            "frames": self._frames.state_dict(),
+            "current": None if self._current is None else torch.from_numpy(self._current),
+            "running": None if self._running is None else torch.from_numpy(self._running),
+            "waiting": None if self._buffer is None else dict(self._buffer.flatten_keys(".").items()),
+        }
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Goes on from ``get_extra_state``."""
+        self._frames.load_state_dict(state["frames"])
+        self._current, self._running = (
+            None if state[name] is None else state[name].numpy().copy() for name in ("current", "running")
+        )
+        waiting = state["waiting"]
+        self._buffer = None
+        if waiting is not None:
+            self._buffer = TensorDict(waiting, waiting["action"].shape).unflatten_keys(".").clone()
+
+
+def _same(one: np.ndarray, other: np.ndarray, leading: int) -> np.ndarray:
+    """Whether two arrays are equal, for every place of their first ``leading`` axes."""
+    return (one == other).all(axis=tuple(range(leading, one.ndim)))
+
+
+class ArrayPrioritizedSampler(PrioritizedSampler):
+    """TorchRL's proportional prioritised sampler, with plain arrays for its compiled segment trees.
+
+    TorchRL's trees work only with the version of PyTorch they were compiled for. Summing an array takes longer than
+    climbing a tree, but not long: 0.1 ms a sample from 50,000 transitions.
+
+    Args:
+        capacity: of the storage.
+    """
+
+    def __init__(self, capacity: int) -> None:
+        disabled, logger.disabled = logger.disabled, True  # it would warn of the missing trees
+        super().__init__(capacity, PRIORITY_EXPONENT, IMPORTANCE_EXPONENT)
+        logger.disabled = disabled
+
+    def _init(self) -> None:
+        self._sum_tree = _SumArray(self._max_capacity)
+        self._min_tree = _MinArray(self._max_capacity)
+        self._max_priority = None
+
+
+class _Array:
+    """The part of a compiled segment tree's interface that ``PrioritizedSampler`` uses, on an array."""
+
+    neutral: float
+
+    def __init__(self, size: int) -> None:
+        self._values = torch.full((size,), self.neutral, dtype=torch.float64)
+
+    def __getitem__(self, index: Tensor | int) -> Tensor | float:
+        return self._values[index].float() if isinstance(index, Tensor) else self._values[index].item()
+
+    def __setitem__(self, index: Tensor | int, value: Tensor | float) -> None:
+        self._values[index] = torch.as_tensor(value, dtype=torch.float64)
+
+
+class _SumArray(_Array):
+    neutral = 0.0
+
+    def query(self, first: int, last: int) -> float:
+        return self._values[first:last].sum().item()
+
+    def scan_lower_bound(self, mass: Tensor) -> Tensor:
+        return torch.searchsorted(self._values.cumsum(0), mass.double(), right=True)
+
+
+class _MinArray(_Array):
+    neutral = math.inf
+
+    def query(self, first: int, last: int) -> float:
+        return self._values[first:last].min().item()
+
+
+_MIRRORED_ACTIONS = torch.tensor(MIRRORED_ACTIONS)
+
+
+class MirroredHalf(Transform):
+    """Replaces half of each sample by its mirror image.
+
+    Left and right swapped, a world is as good a world, and its best action is the mirrored one: images are flipped,
+    headings negated, left turns become right turns. Samples are drawn independently, so which half does not matter.
+    """
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        if not tensordict.batch_dims:
+            return tensordict
+        half = len(tensordict) // 2
+        for part in (tensordict, tensordict["next"]):
+            part["depth"][:half] = part["depth"][:half].flip(-1)
+            part["heading"] = torch.cat([-part["heading"][:half], part["heading"][half:]])
+        action = tensordict["action"]
+        tensordict["action"] = torch.cat([_MIRRORED_ACTIONS[action[:half]], action[half:]])
+        return tensordict

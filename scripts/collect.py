@@ -1,0 +1,52 @@
+"""A dataset of robots that drive at random, made with nothing but ``NavEnv`` and TorchRL.
+
+    python scripts/collect.py --out datasets/random --batches 20 --processes 2
+
+A transition takes 41 kB on disk. The dataset is read where it lies, as memory-mapped files::
+
+    transitions = TensorDict.load_memmap("datasets/random")
+    replay = ReplayBuffer(storage=TensorStorage(transitions), batch_size=64)
+"""
+
+from functools import partial
+from pathlib import Path
+
+import tyro
+from rich.progress import track
+from tensordict import TensorDict
+from torchrl.collectors import Collector
+
+from rl import NavEnv
+
+
+def collect(
+    out: Path, world: str = "complex_train", batches: int = 20, num_envs: int = 16, processes: int = 0, seed: int = 0
+) -> None:
+    """Collect transitions of robots that drive at random, and store them on disk.
+
+    Args:
+        out: Directory to write to.
+        world: World file, or name of a shipped world.
+        batches: Batches to collect, each of 16 steps of every robot.
+        num_envs: Robots that one environment simulates together.
+        processes: Processes that collect side by side, each with an environment; 0 collects in this one.
+        seed: Seed of starts and goals.
+    """
+    create_env = [partial(NavEnv, world, num_envs, seed=seed + i) for i in range(max(1, processes))]
+    collector = Collector(
+        create_env if processes else create_env[0],
+        num_collectors=processes or None,
+        frames_per_batch=(size := 16 * num_envs * len(create_env)),
+        total_frames=batches * size,
+    )
+    dataset: TensorDict | None = None
+    for i, batch in enumerate(track(collector, "collecting", total=batches)):
+        transitions = batch.reshape(-1)
+        if dataset is None:
+            dataset = transitions[:1].expand(batches * size).memmap_like(out)
+        dataset[i * size : (i + 1) * size] = transitions
+    collector.shutdown()
+
+
+if __name__ == "__main__":
+    tyro.cli(collect)

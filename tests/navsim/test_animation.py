@@ -1,0 +1,108 @@
+"""The animation of an episode: its frames, and what moves in them."""
+
+from __future__ import annotations
+
+import math
+
+import imageio.v3 as imageio
+import numpy as np
+import pytest
+import shapely
+from matplotlib.colors import to_rgb
+
+from navsim.animation import _view_outlines, animate_episode
+from navsim.camera import DepthCamera
+from navsim.draw import GOAL, OUTCOME_COLOURS, ROBOT
+from navsim.raycast import render_depth
+from navsim.task import Task
+from navsim.world import World
+
+WORLD = World.from_dict(
+    {
+        "format": 1,
+        "size": [6, 6],
+        "obstacles": [{"box": {"at": [0.0, 1.5], "size": [0.6, 0.6], "height": 0.8}}],
+        "starts": [[-2, 0]],
+        "goals": [[2, 0]],
+    }
+)
+DRIVE = np.stack([np.linspace(-2, 1.6, 10), np.zeros(10), np.zeros(10)], axis=1)
+PLAN = (slice(10, 510), slice(10, 512))  # rows and columns of the plan view
+
+
+def pixels(image, colour, tolerance=30):
+    distance = np.abs(image.astype(int) - (255 * np.array(to_rgb(colour))).round().astype(int)).max(axis=-1)
+    return np.argwhere(distance < tolerance)
+
+
+@pytest.fixture(scope="module", params=[".gif", ".mp4"])
+def film(request, tmp_path_factory):
+    path = tmp_path_factory.mktemp("film") / "made" / f"episode{request.param}"
+    animate_episode(path, WORLD, DRIVE, (2.0, 0.0), actions=[1] * 9, outcome="success")
+    return path
+
+
+def test_an_animation_has_a_frame_for_each_pose_and_rests_on_the_last(film):
+    frames = imageio.imread(film)
+    assert frames.shape[1:] == (520, 960, 3)
+    if film.suffix == ".mp4":
+        assert len(frames) == 10 + 10  # twice real time: ten frames a second, the last for one more
+    else:
+        assert len(frames) == 10  # a GIF stores a rest as a duration
+        durations = [imageio.immeta(film, index=index)["duration"] for index in (0, 9)]
+        assert durations == [100, 1100]
+
+
+def test_the_robot_drives_across_the_plan(film):
+    frames = imageio.imread(film)
+    columns = [pixels(frame[PLAN], ROBOT)[:, 1].mean() for frame in frames[:10]]
+    steps = np.diff(columns)
+    metre = 500 / 6.2  # the room with its walls fills the plan view
+    np.testing.assert_allclose(steps, 0.4 * metre, atol=2.5)
+    rows = pixels(frames[5][PLAN], ROBOT)[:, 0]
+    assert rows.mean() == pytest.approx(250, abs=4)
+
+
+def test_the_goal_and_at_the_end_the_outcome_are_shown(film):
+    frames = imageio.imread(film)
+    assert len(pixels(frames[0][PLAN], GOAL)) > 20
+    verdict = (slice(460, 500), slice(700, 900))
+    assert len(pixels(frames[-1][verdict], OUTCOME_COLOURS["success"], 60)) > 50
+    assert len(pixels(frames[3][verdict], OUTCOME_COLOURS["success"], 60)) == 0
+
+
+def test_the_depth_image_changes_as_the_robot_approaches_the_wall(film):
+    frames = imageio.imread(film)
+    sight = (slice(60, 300), slice(560, 860))
+    assert frames[0][sight].astype(int).sum() < frames[9][sight].astype(int).sum()  # nearer is brighter
+
+
+def test_the_view_ends_at_the_obstacles():
+    camera = DepthCamera()
+    pose = np.array([[0.5, 0.0, math.pi / 2]])
+    eye, *outline = _view_outlines(camera.to_uint8(render_depth(WORLD, pose, camera)), pose, camera)[0]
+    np.testing.assert_allclose(eye, [0.5, -0.087], atol=1e-9)  # the camera is behind the robot's centre
+    solid = shapely.union(shapely.box(-3, -3, 3, 3).exterior, shapely.box(-0.3, 1.2, 0.3, 1.8))
+    for point, slope in zip(outline, camera.column_slopes, strict=True):
+        ray = shapely.LineString([eye, eye + 9.0 * np.array([-slope, 1.0])])
+        nearest = shapely.shortest_line(shapely.Point(eye), shapely.intersection(ray, solid)).coords[1]
+        np.testing.assert_allclose(point, nearest, atol=0.015)
+
+
+def test_the_task_sets_the_pace_and_the_goal_disc(tmp_path):
+    path = tmp_path / "episode.gif"
+    animate_episode(path, WORLD, DRIVE[:3], (2.0, 0.0), task=Task(control_period=0.5, goal_radius=1.0), speed=1.0)
+    assert imageio.immeta(path, index=0)["duration"] == 500
+
+
+@pytest.mark.parametrize(
+    ("name", "poses", "message"),
+    [
+        ("episode.avi", DRIVE, r"episode\.avi: animations are written as \.gif or \.mp4"),
+        ("episode.gif", DRIVE[:, :2], r"poses of shape \(10, 2\)"),
+        ("episode.gif", DRIVE[:0], r"poses of shape \(0, 3\)"),
+    ],
+)
+def test_an_animation_that_cannot_be_made_says_why(tmp_path, name, poses, message):
+    with pytest.raises(ValueError, match=message):
+        animate_episode(tmp_path / name, WORLD, poses, (2.0, 0.0))

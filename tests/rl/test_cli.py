@@ -1,0 +1,376 @@
+"""The ``navsim`` command: the whole line in small, what help says, and how mistakes are told."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+from navsim.camera import DepthCamera
+from navsim.robot import Robot
+from navsim.task import Task
+from rl.cli import main
+from rl.config import PRESETS, TrainConfig
+
+REPOSITORY = Path(__file__).parents[2]
+ROOM = """
+format: 1
+size: [4.0, 4.0]
+obstacles:
+  - box: {at: [0.0, 0.0], size: [0.4, 0.4], height: 0.8}
+starts:
+  - {at: [-1.5, -1.5], yaw_deg: 45}
+goals:
+  - [1.5, 1.5]
+  - [-1.5, 1.5]
+"""
+SMALL = [
+    *("--total-steps", "320", "--warmup-steps", "64", "--batch-size", "16", "--num-envs", "4"),
+    *("--steps-per-batch", "32", "--eval-interval", "160", "--checkpoint-interval", "160", "--log-interval", "80"),
+    *("--camera.width", "20", "--camera.height", "16", "--task.max-steps", "30", "--num-threads", "1"),
+]
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small world file."""
+    path = tmp_path_factory.mktemp("worlds") / "room.yaml"
+    path.write_text(ROOM)
+    return path
+
+
+def training(room: Path, directory: Path) -> list[str]:
+    return ["train", "--world", str(room), "--eval-world", str(room), "--out", str(directory), *SMALL]
+
+
+@pytest.fixture(scope="module")
+def finished(room: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The directory of a run that has come to its end."""
+    directory = tmp_path_factory.mktemp("runs") / "finished"
+    assert main(training(room, directory)) == 0
+    return directory
+
+
+def process(arguments: Sequence[str], directory: Path) -> subprocess.Popen[str]:
+    paths = [str(REPOSITORY), *filter(None, [os.environ.get("PYTHONPATH")])]
+    return subprocess.Popen(
+        [sys.executable, "-m", "rl.cli", *arguments],
+        cwd=directory,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(paths), "OMP_NUM_THREADS": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+# The whole line
+
+
+def test_training_ends_with_weights_evaluations_and_a_report(finished):
+    names = {path.relative_to(finished).as_posix() for path in finished.rglob("*") if path.is_file()}
+    assert {"config.json", "versions.json", "metrics.csv", "evaluations.csv", "policy.pt", "report.html"} <= names
+    evaluated = {path.stem for path in (finished / "evaluation").glob("*.json")}
+    assert evaluated >= {"random", "straight", "reactive", "oracle"}
+    assert len(evaluated) == 5
+    assert [row.split(",")[0] for row in (finished / "evaluations.csv").read_text().split()[1:]] == ["160", "320"]
+
+
+def test_settings_of_the_command_line_are_those_of_the_run(finished, room):
+    settings = TrainConfig.from_dict(json.loads((finished / "config.json").read_text()))
+    assert settings == dataclasses.replace(
+        PRESETS["fast"],
+        world=(str(room),),
+        eval_world=str(room),
+        out=finished,
+        total_steps=320,
+        warmup_steps=64,
+        batch_size=16,
+        num_envs=4,
+        steps_per_batch=32,
+        eval_interval=160,
+        checkpoint_interval=160,
+        log_interval=80,
+        num_threads=1,
+        camera=DepthCamera(width=20, height=16),
+        task=Task(max_steps=30),
+    )
+
+
+def test_a_run_is_evaluated_with_its_own_camera_and_rules(finished, room, tmp_path, capsys):
+    assert main(["evaluate", str(finished), "--world", str(room), "--json", str(tmp_path / "result.json")]) == 0
+    assert "success %" in capsys.readouterr().out
+    result = json.loads((tmp_path / "result.json").read_text())
+    assert len(result["paths"]) == 2
+    assert all(path["steps"] <= 30 for path in result["paths"])
+    # What a network does is decided by its weights alone: the run's own evaluation comes out again.
+    (own,) = [path for path in (finished / "evaluation").glob("*.json") if path.stem.startswith("D3QN")]
+    assert json.loads(own.read_text())["paths"] == result["paths"]
+
+
+def test_the_oracle_solves_what_the_straight_line_does_not(room, tmp_path):
+    rates = {}
+    for name in ("oracle", "straight"):
+        assert main(["evaluate", name, "--world", str(room), "--json", str(tmp_path / name)]) == 0
+        rates[name] = json.loads((tmp_path / name).read_text())["summary"]["success_rate"]
+    assert rates == {"oracle": 1.0, "straight": 0.5}  # the box stands between the start and the first goal
+
+
+def test_a_world_with_random_paths_is_evaluated_on_as_many_as_asked_for(room, tmp_path):
+    (tmp_path / "open.yaml").write_text(ROOM.split("starts:")[0] + "starts: random\ngoals: random\n")
+    arguments = ["--world", str(tmp_path / "open.yaml"), "--num-paths", "3", "--json", str(tmp_path / "result")]
+    assert main(["evaluate", "random", *arguments]) == 0
+    assert len(json.loads((tmp_path / "result").read_text())["paths"]) == 3
+
+
+def test_a_report_is_written_anew(finished, capsys):
+    (finished / "report.html").unlink()
+    assert main(["report", str(finished)]) == 0
+    assert capsys.readouterr().out.strip() == str(finished / "report.html")
+    assert "</html>" in (finished / "report.html").read_text()
+
+
+# Going on with a run
+
+
+def test_a_directory_with_a_run_is_not_trained_over(finished, room, capsys):
+    before = (finished / "metrics.csv").read_text()
+    assert main(training(room, finished)) == 2
+    assert "already holds a run" in told(capsys)
+    assert (finished / "metrics.csv").read_text() == before
+
+
+def test_a_finished_run_is_only_reported_again(finished, room):
+    before = (finished / "metrics.csv").read_text()
+    (finished / "report.html").unlink()
+    assert main(["train", "--resume", "--out", str(finished)]) == 0
+    assert (finished / "metrics.csv").read_text() == before
+    assert (finished / "report.html").exists()
+
+
+def test_a_run_keeps_its_settings(finished, capsys):
+    assert main(["train", "--resume", "--out", str(finished), "--gamma", "0.5", "--model", "S"]) == 2
+    assert "begun with other settings (model, gamma)" in told(capsys)
+
+
+def test_an_interrupted_run_says_how_to_go_on_and_goes_on(room, tmp_path):
+    endless = [*training(room, Path("run")), "--total-steps", "1000000", "--no-report"]
+    training_process = process(endless, tmp_path)
+    try:
+        wait_for(lambda: any((tmp_path / "run" / "checkpoints").glob("*")), 60)
+        time.sleep(0.2)
+        training_process.send_signal(signal.SIGINT)
+        _, stderr = training_process.communicate(timeout=30)
+    finally:
+        training_process.kill()
+    assert training_process.returncode == 130
+    assert "navsim train --resume --out run" in stderr
+    assert "Traceback" not in stderr
+
+
+def wait_for(condition, seconds: float) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.05)
+
+
+# Worlds
+
+
+def test_good_worlds_are_described(room, capsys):
+    assert main(["world", "check", str(room), "complex_eval"]) == 0
+    first, second = capsys.readouterr().out.splitlines()
+    assert first.startswith(f"{room}: ")
+    assert "1 obstacle, 1 start, 2 goals" in first
+    assert "5 starts, 20 goals" in second
+
+
+def test_everything_that_is_wrong_with_worlds_is_told_with_its_place(room, tmp_path, capsys):
+    bad = tmp_path / "bad.yaml"
+    bad.write_text("format: 1\nsize: [4, -4]\nobstacles:\n  - box: {at: [0, 0], size: [1, 1], hight: 1}\n")
+    assert main(["world", "check", str(bad), str(room), "missing.yaml"]) == 2
+    stdout, stderr = capsys.readouterr()
+    assert stdout.startswith(f"{room}: ")
+    assert f"{bad}:2:" in stderr
+    assert "obstacles[0].box" in stderr
+    assert "missing.yaml" in stderr
+    assert "Traceback" not in stderr
+
+
+@pytest.mark.parametrize(("options", "picture"), [([], "room.png"), (["-o", "plans/plan.svg"], "plans/plan.svg")])
+def test_a_world_is_drawn_where_it_says(room, tmp_path, monkeypatch, capsys, options, picture):
+    monkeypatch.chdir(tmp_path)
+    assert main(["world", "show", str(room), *options]) == 0
+    assert capsys.readouterr().out.strip() == picture
+    assert (tmp_path / picture).stat().st_size > 10_000
+
+
+# Benchmarks
+
+
+@pytest.mark.parametrize(
+    ("arguments", "module", "passed"),
+    [
+        (["camera", "--peers"], "navsim.bench_camera", {"peers": True}),
+        (["env", "--world", "simple_eval"], "rl.bench_env", {"world": "simple_eval"}),
+        (["learner", "--num-threads", "2"], "rl.bench_learner", {"num_threads": 2}),
+    ],
+)
+def test_a_benchmark_is_run(monkeypatch, arguments, module, passed):
+    calls = []
+    monkeypatch.setattr(f"{module}.run", lambda *positional, **named: calls.append(named))
+    assert main(["bench", *arguments]) == 0
+    (named,) = calls
+    assert {key: named[key] for key in passed} == passed
+
+
+# Help
+
+
+def test_help_names_every_command(capsys):
+    assert main(["--help"]) == 0
+    asked = capsys.readouterr().out
+    assert all(command in asked for command in ("train", "evaluate", "report", "world", "bench"))
+    assert main([]) == 0
+    assert capsys.readouterr().out == asked
+
+
+def test_help_explains_every_setting_of_a_training(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "100")
+    assert main(["train", "--help"]) == 0
+    text = re.sub(r"[\s│╭╰╮╯─]+", " ", capsys.readouterr().out)
+    flags = ["resume"]
+    for prefix, part in (("", TrainConfig), ("camera.", DepthCamera), ("task.", Task), ("robot.", Robot)):
+        names = [setting.name for setting in dataclasses.fields(part) if setting.name not in ("camera", "task", "robot")]
+        flags += [prefix + name.replace("_", "-") for name in names]
+    for flag in flags:
+        explained = re.search(rf"--{re.escape(flag)}[ ,](.*?)\(default: ", text)
+        assert explained, flag
+        assert re.search(r"[A-Z].+[.;] ?$", explained[1]), f"--{flag} is not explained: {explained[1]}"
+
+
+def test_help_shows_the_values_of_the_preset(capsys):
+    assert main(["train", "--preset", "thesis", "--help"]) == 0
+    assert re.search(r"--batch-size INT[^(]*\(default:\s+8\)", capsys.readouterr().out)
+
+
+def test_help_does_without_what_takes_long_to_import():
+    code = "import sys; from rl.cli import main; main(['--help']); print({'torch', 'pydantic'} & {*sys.modules})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=REPOSITORY)
+    assert done.stdout.splitlines()[-1] == "set()"
+
+
+def test_the_version_is_that_of_the_package(capsys):
+    assert main(["--version"]) == 0
+    assert re.fullmatch(r"navsim \S.*\n", capsys.readouterr().out)
+
+
+def test_the_installed_command_is_this_one():
+    try:
+        scripts = metadata.distribution("navsim-rl").entry_points
+    except metadata.PackageNotFoundError:
+        pytest.skip("the package is not installed")
+    assert scripts["navsim"].load() is main
+
+
+# Mistakes
+
+
+def told(capsys) -> str:
+    """What was printed on standard error; a mistake prints nothing on standard output and no traceback."""
+    stdout, stderr = capsys.readouterr()
+    assert not stdout
+    assert "Traceback" not in stderr
+    return re.sub(r"[\s│]+", " ", stderr)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ("trian", "Available subcommands: train, evaluate"),
+        ("train --gama 0.9", "--gamma FLOAT"),
+        ("train --model X", "--model"),
+        ("train --preset fastest", "--preset"),
+        ("train --preset", "--preset"),
+        ("train --total-steps many", "--total-steps"),
+        ("train --warmup-steps 3 --gamma 2", "--warmup-steps (3) must lie between"),
+        ("train --camera.width 0", "camera width must be a whole number of pixels"),
+        ("train --camera.vertical-fov-deg 120 --out run", "the camera sees the floor"),
+        ("train --world complex_trian --out run", "did you mean 'complex_train'?"),
+        ("train --eval-world nowhere --out run", "nowhere: there is no such world file"),
+        ("evaluate random", "--world"),
+        ("evaluate random --world complex_evl", "did you mean 'complex_eval'?"),
+        ("evaluate randm --world complex_eval", 'did you mean "random"?'),
+        ("evaluate random --world complex_eval --num-paths 101", "num_paths asks for 101"),
+        ("report nowhere", "nowhere is not a run's directory"),
+        ("world", "Expected one of {check, show}"),
+        ("world check", "FILES"),
+        ("world show nowhere", "nowhere: there is no such world file"),
+        ("world show complex_eval -o plan.docx", "plan.docx: pictures are written as"),
+        ("bench env --world nowhere", "nowhere: there is no such world file"),
+    ],
+)
+def test_a_mistake_is_told_in_a_sentence(tmp_path, monkeypatch, capsys, arguments, sentence):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments.split()) == 2
+    assert sentence in told(capsys)
+    assert not any(tmp_path.iterdir()), "a refused command leaves nothing behind"
+
+
+def test_a_mistake_ends_the_process_with_status_2(tmp_path):
+    refused = process(["evaluate", "nobody", "--world", "complex_eval"], tmp_path)
+    stdout, stderr = refused.communicate(timeout=60)
+    assert (refused.returncode, stdout) == (2, "")
+    assert stderr.startswith("nobody is not a run's directory")
+    assert len(stderr.splitlines()) == 1
+
+
+def test_a_file_that_cannot_be_written_is_named(room, tmp_path, capsys):
+    (tmp_path / "file").touch()
+    assert main(["world", "show", str(room), "-o", str(tmp_path / "file" / "plan.png")]) == 2
+    assert str(tmp_path / "file") in told(capsys)
+
+
+def test_a_damaged_checkpoint_is_named(finished, room, tmp_path, capsys):
+    directory = tmp_path / "run"
+    assert main([*training(room, directory), "--no-report"]) == 0
+    capsys.readouterr()
+    (directory / "policy.pt").write_bytes(b"")
+    assert main(["evaluate", str(directory), "--world", str(room)]) == 2
+    assert "policy.pt is damaged" in told(capsys)
+    checkpoint = sorted((directory / "checkpoints").iterdir())[-1]
+    for file in checkpoint.rglob("*"):
+        if file.is_file():
+            file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    assert main(["train", "--resume", "--out", str(directory)]) == 2
+    assert "checkpoints" in told(capsys)
+
+
+def test_a_mistake_of_the_library_keeps_its_traceback(monkeypatch, room):
+    import numpy as np
+
+    def broken(*_):
+        return np.zeros(3) + np.zeros(4)
+
+    monkeypatch.setattr("navsim.show.save_plan_view", broken)
+    with pytest.raises(ValueError, match="broadcast"):
+        main(["world", "show", str(room)])
+
+
+def test_ctrl_c_ends_with_status_130(monkeypatch, room, capsys):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("navsim.show.save_plan_view", interrupted)
+    assert main(["world", "show", str(room)]) == 130
+    assert told(capsys).strip() == "interrupted"

@@ -1,0 +1,106 @@
+"""The settings of a run: presets, checks, and the way to JSON and back."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+
+from navsim.camera import DepthCamera
+from rl.config import PRESETS, Collection, ConfigError, Experiment, Exploration, Learning, Records, TrainConfig
+
+
+def test_thesis_preset_holds_the_numbers_of_section_5_3():
+    thesis = PRESETS["thesis"]
+    assert (thesis.gamma, thesis.n_step, thesis.batch_size, thesis.replay_capacity) == (0.99, 1, 8, 50_000)
+    assert (thesis.epsilon_start, thesis.epsilon_end, thesis.epsilon_steps) == (1.0, 0.01, 50_000)
+    assert (thesis.learning_rate, thesis.learning_rate_decay, thesis.loss_function) == (1e-4, "none", "l2")
+    assert (thesis.target_update, thesis.tau, thesis.steps_per_update) == ("soft", 0.001, 1.0)
+    assert thesis.total_steps == 400_000
+    assert not (thesis.mirror or thesis.prioritized or thesis.random_paths)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_preset_bears_its_own_name(name):
+    assert PRESETS[name].preset == name
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        *PRESETS.values(),
+        TrainConfig(
+            model="S",
+            world=("a.yaml", "b.yaml"),
+            out=Path("somewhere"),
+            max_grad_norm=None,
+            camera=DepthCamera(width=160, height=128, depth="range"),
+        ),
+    ],
+    ids=["fast", "thesis", "others"],
+)
+def test_settings_survive_json(config):
+    assert TrainConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
+
+
+def test_every_setting_belongs_to_one_group_of_the_help():
+    groups = [Experiment, Collection, Learning, Exploration, Records]
+    grouped = [setting.name for group in groups for setting in dataclasses.fields(group)]
+    assert len(grouped) == len(set(grouped))
+    assert {setting.name for setting in dataclasses.fields(TrainConfig)} == {*grouped, "camera", "task", "robot"}
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"total_steps": 0}, "--total-steps must be positive"),
+        ({"learning_rate": float("nan")}, "--learning-rate must be positive"),
+        ({"gamma": 1.5}, "--gamma must lie between 0 and 1"),
+        ({"seed": -1}, "--seed must not be negative"),
+        ({"world": ()}, "--world needs at least one"),
+        ({"epsilon_start": 0.01}, "--epsilon-end"),
+        ({"num_envs": 7}, "--steps-per-batch (64) must be a multiple of --num-envs (7)"),
+        ({"batch_size": 60_000}, "--batch-size (60000) must not exceed --replay-capacity"),
+        ({"warmup_steps": 10}, "--warmup-steps (10) must lie between"),
+        ({"total_steps": 4_000}, "--total-steps (4000) must exceed --warmup-steps (5000)"),
+        ({"max_grad_norm": -1.0}, "--max-grad-norm must be positive or None"),
+    ],
+)
+def test_settings_that_cannot_work_are_refused_by_their_option(changes, named):
+    with pytest.raises(ConfigError) as refusal:
+        TrainConfig(**changes)
+    assert named in str(refusal.value)
+
+
+def test_all_problems_are_told_at_once():
+    with pytest.raises(ConfigError) as refusal:
+        TrainConfig(gamma=2.0, tau=-1.0, seed=-3)
+    assert len(str(refusal.value).splitlines()) == 3
+
+
+@pytest.mark.parametrize(
+    ("values", "named"),
+    [
+        ({"learning_rte": 1.0}, "learning_rte"),
+        ({"camera": {"widht": 80}}, "camera"),
+        ({"camera": {"width": -1}}, "width"),
+        ({"gamma": 7}, "--gamma"),
+    ],
+)
+def test_values_of_another_version_are_refused(values, named):
+    with pytest.raises(ConfigError, match=named):
+        TrainConfig.from_dict(values)
+
+
+@pytest.mark.parametrize(
+    ("settings", "directory"),
+    [
+        ({}, "runs/fast-I-complex_train-seed0"),
+        ({"model": "S", "seed": 3, "world": ("rooms/a.yaml", "b.yml")}, "runs/fast-S-a+b-seed3"),
+        ({"out": Path("elsewhere")}, "elsewhere"),
+    ],
+)
+def test_a_run_is_kept_apart_from_runs_with_other_settings(settings, directory):
+    assert TrainConfig(**settings).directory == Path(directory)

@@ -1,0 +1,199 @@
+"""The Q-networks beside their plain definition, written out with loops, padding and a fifth image plane."""
+
+from __future__ import annotations
+
+import copy
+import math
+import pickle
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+from torch.nn import functional as F
+
+from rl.networks import D3QN, SameConv2d, make_q_actor, same_padding
+
+SIZES = [(64, 80), (10, 14), (61, 77), (33, 90)]
+"""Heights and widths: one of the thesis's, the smallest, and two whose padding is not symmetric."""
+
+
+def observations(*batch: int, height: int, width: int) -> tuple[torch.Tensor, torch.Tensor]:
+    depth = torch.randint(0, 256, (*batch, 4, height, width), dtype=torch.uint8)
+    return depth, (torch.rand(*batch, 1) * 2 - 1) * math.pi
+
+
+def pad_as_tensorflow(images: torch.Tensor, kernel: tuple[int, int], stride: int) -> torch.Tensor:
+    """"SAME" as the TensorFlow guide defines it, with its two cases."""
+    border = []
+    for size, length in zip(images.shape[-2:], kernel, strict=True):
+        rest = size % stride
+        total = max(length - (rest or stride), 0)
+        border.append((total // 2, total - total // 2))
+    return F.pad(images, (*border[1], *border[0]))
+
+
+def plain_action_values(network: D3QN, depth: torch.Tensor, heading: torch.Tensor) -> torch.Tensor:
+    """Q as design and thesis define it: images from 0 to 1, a real heading plane, two separate streams."""
+    images = depth.float() / 255
+    angle = (heading + math.pi) / (2 * math.pi)
+    if network.model == "I":
+        plane = angle[:, :, None, None].expand(-1, -1, *images.shape[-2:])
+        images = torch.cat([images, plane], dim=1)
+    for layer, kernel, stride in ((network.conv1, (10, 14), 8), (network.conv2, (4, 4), 2), (network.conv3, (3, 3), 1)):
+        images = F.relu(F.conv2d(pad_as_tensorflow(images, kernel, stride), layer.weight, layer.bias, stride))
+    features = torch.stack([image.permute(1, 2, 0).flatten() for image in images])
+    if network.model == "S":
+        features = torch.cat([features, angle], dim=1)
+    weight, bias = network.streams.weight, network.streams.bias
+    value = network.value(F.relu(F.linear(features, weight[:512], bias[:512])))
+    advantage = network.advantage(F.relu(F.linear(features, weight[512:], bias[512:])))
+    return value + advantage - advantage.mean(dim=1, keepdim=True)
+
+
+@pytest.mark.parametrize("kernel", [3, 4, 10, 14])
+@pytest.mark.parametrize("stride", [1, 2, 8])
+def test_same_padding_gives_every_stride_an_output_and_the_odd_zero_to_the_end(kernel, stride):
+    for size in range(1, 70):
+        before, after = same_padding(size, kernel, stride)
+        assert after - before in (0, 1)
+        places = range(-before, size + after - kernel + 1, stride)
+        assert len(places) == math.ceil(size / stride)
+        if before + after:  # no zero too many: the last window ends with the padding
+            assert places[-1] + kernel == size + after
+
+
+@pytest.mark.parametrize("size", [(13, 17), (16, 24), (9, 20)])
+def test_convolution_sums_the_windows_of_the_padded_image(size):
+    layer = SameConv2d(2, 3, (4, 5), 3, size)
+    image = torch.randn(1, 2, *size)
+    padded = pad_as_tensorflow(image, (4, 5), 3)[0].numpy()
+    weight, bias = layer.weight.detach().numpy(), layer.bias.detach().numpy()
+    expected = np.empty((3, *layer.output_size), np.float32)
+    for row in range(layer.output_size[0]):
+        for column in range(layer.output_size[1]):
+            window = padded[:, 3 * row : 3 * row + 4, 3 * column : 3 * column + 5]
+            expected[:, row, column] = (weight * window).sum(axis=(1, 2, 3)) + bias
+    np.testing.assert_allclose(layer(image)[0].detach().numpy(), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("model", "height", "width", "count"),
+    [("I", 128, 160, 2_621_952), ("I", 64, 80, 655_872), ("S", 128, 160, 2_622_464), ("S", 64, 80, 656_384)],
+)
+def test_fully_connected_layers_have_as_many_parameters_as_in_the_thesis(model, height, width, count):
+    network = D3QN(model, height, width)
+    counts = network.parameter_counts()
+    assert counts["value 1"] == counts["advantage 1"] == count
+    assert counts["conv1"] == 32 * ((5 if model == "I" else 4) * 10 * 14 + 1)
+    assert counts["conv2"] == 64 * (32 * 4 * 4 + 1)
+    assert counts["conv3"] == 64 * (64 * 3 * 3 + 1)
+    assert counts["value 2"] == 513
+    assert counts["advantage 2"] == 7 * 513
+    assert sum(counts.values()) == sum(parameter.numel() for parameter in network.parameters())
+
+
+@pytest.mark.parametrize("model", ["I", "S"])
+@pytest.mark.parametrize(("height", "width"), SIZES)
+def test_action_values_and_gradients_are_those_of_the_plain_definition(model, height, width):
+    torch.manual_seed(0)
+    network = D3QN(model, height, width)
+    for parameter in network.parameters():  # biases too
+        parameter.data.add_(0.05 * torch.randn_like(parameter))
+    depth, heading = observations(5, height=height, width=width)
+    weights = torch.randn(5, 7)
+
+    plain = plain_action_values(network, depth, heading)
+    expected = torch.autograd.grad((plain * weights).sum(), list(network.parameters()))
+    ours = network(depth, heading)
+    gradients = torch.autograd.grad((ours * weights).sum(), list(network.parameters()))
+
+    torch.testing.assert_close(ours, plain, rtol=1e-4, atol=1e-4)
+    for gradient, reference in zip(gradients, expected, strict=True):
+        torch.testing.assert_close(gradient, reference, rtol=1e-3, atol=1e-4 * float(reference.abs().max()))
+
+
+@pytest.mark.parametrize("model", ["I", "S"])
+def test_heading_matters_and_enters_from_zero_to_one(model):
+    network = D3QN(model, 10, 14)
+    depth, _ = observations(3, height=10, width=14)
+    heading = torch.tensor([[-math.pi], [0.0], [math.pi]])
+    assert network.prepare(depth, heading)[1].flatten().tolist() == pytest.approx([0.0, 0.5, 1.0])
+    values = network(depth[:1].expand(3, -1, -1, -1), heading)
+    assert not torch.allclose(values[0], values[1])
+    assert not torch.allclose(values[1], values[2])
+
+
+@pytest.mark.parametrize("model", ["I", "S"])
+def test_any_batch_dimensions_are_kept(model):
+    network = D3QN(model, 10, 14)
+    depth, heading = observations(2, 3, height=10, width=14)
+    values = network(depth, heading)
+    assert values.shape == (2, 3, 7)
+    torch.testing.assert_close(network(depth[1, 2], heading[1, 2]), values[1, 2])
+    torch.testing.assert_close(network(depth[1], heading[1]), values[1])
+    torch.testing.assert_close(network(*network.prepare(depth, heading)), values)
+
+
+def test_memory_layout_of_the_images_does_not_matter():
+    network = D3QN("I", 10, 14)
+    depth, heading = observations(6, height=10, width=14)
+    expected = network(depth, heading)
+    torch.testing.assert_close(network(depth.contiguous(memory_format=torch.channels_last), heading), expected)
+    torch.testing.assert_close(network(depth[::2], heading[::2]), expected[::2])
+
+
+@pytest.mark.parametrize("batch", [(), (4,), (2, 3)])
+def test_actor_takes_the_greedy_action(batch):
+    actor = make_q_actor("I", 10, 14)
+    depth, heading = observations(*batch, height=10, width=14)
+    out = actor(TensorDict({"depth": depth, "heading": heading}, batch))
+    assert out["action_value"].shape == (*batch, 7)
+    assert out["action"].shape == batch
+    assert actor.spec["action"].n == 7
+    torch.testing.assert_close(out["action"], out["action_value"].argmax(-1))
+    torch.testing.assert_close(out["chosen_action_value"], out["action_value"].amax(-1, keepdim=True))
+
+
+def test_actor_survives_copying_and_pickling():
+    actor = make_q_actor("I", 10, 14)
+    depth, heading = observations(3, height=10, width=14)
+    data = TensorDict({"depth": depth, "heading": heading}, [3])
+    expected = actor(data.clone())["action_value"]
+    for other in (copy.deepcopy(actor), pickle.loads(pickle.dumps(actor))):
+        torch.testing.assert_close(other(data.clone())["action_value"], expected)
+    fresh = make_q_actor("I", 10, 14)
+    fresh.load_state_dict(actor.state_dict())
+    torch.testing.assert_close(fresh(data.clone())["action_value"], expected)
+
+
+@pytest.mark.parametrize("model", ["I", "S"])
+def test_bfloat16_autocast_stays_near_float32_and_returns_float32(model):
+    torch.manual_seed(0)
+    network = D3QN(model, 64, 80)
+    depth, heading = observations(4, height=64, width=80)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        rounded = network(depth, heading)
+    assert rounded.dtype == torch.float32
+    torch.testing.assert_close(rounded, network(depth, heading), rtol=0.05, atol=0.02)
+
+
+def test_new_weights_follow_glorot_for_each_stream():
+    network = D3QN("S", 64, 80)
+    bound = math.sqrt(6 / (1281 + 512))
+    for stream in network.streams.weight.split(512):
+        assert 0.99 * bound < stream.abs().max() <= bound
+    assert all(not parameter.any() for name, parameter in network.named_parameters() if name.endswith("bias"))
+
+
+def test_settings_that_cannot_be_used_are_refused():
+    with pytest.raises(ValueError, match="at least 14 x 10"):
+        make_q_actor("I", height=9, width=80)
+    with pytest.raises(ValueError, match="at least 14 x 10"):
+        make_q_actor("S", height=64, width=13)
+    with pytest.raises(ValueError, match="model must be"):
+        make_q_actor("X")
+    network = D3QN("I", 64, 80)
+    depth, heading = observations(2, height=80, width=64)
+    with pytest.raises(ValueError, match=r"\(4, 64, 80\).*\(4, 80, 64\)"):
+        network(depth, heading)

@@ -1,0 +1,140 @@
+"""Loading what a run has learnt, and what is said of runs that cannot be loaded."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from navsim.camera import DepthCamera
+from rl.config import TrainConfig
+from rl.networks import make_q_actor
+from rl.policies import load_policy
+from rl.run import Run, RunError
+
+CAMERA = DepthCamera(width=14, height=10)
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Run:
+    """A run with weights, as if it had been evaluated."""
+    torch.manual_seed(0)
+    run = Run.create(TrainConfig(model="S", camera=CAMERA, out=tmp_path / "run"))
+    run.save_policy("policy", make_q_actor("S", CAMERA.height, CAMERA.width).state_dict())
+    return run
+
+
+def observations(count: int) -> TensorDict:
+    depth = torch.randint(0, 256, (count, 4, CAMERA.height, CAMERA.width), dtype=torch.uint8)
+    return TensorDict({"depth": depth, "heading": torch.linspace(-3.0, 3.0, count).unsqueeze(-1)}, [count])
+
+
+def test_the_policy_is_the_one_that_was_saved(run):
+    saved = make_q_actor("S", CAMERA.height, CAMERA.width)
+    saved.load_state_dict(torch.load(run.directory / "policy.pt", weights_only=True))
+    seen = observations(5)
+    torch.testing.assert_close(
+        load_policy(run.directory)(seen.clone())["action_value"], saved(seen.clone())["action_value"]
+    )
+
+
+@pytest.mark.parametrize("exploration", [ExplorationType.RANDOM, ExplorationType.DETERMINISTIC])
+def test_the_policy_takes_the_action_of_the_greatest_value(run, exploration):
+    policy = load_policy(str(run.directory))
+    assert not policy.training
+    with set_exploration_type(exploration):
+        chosen = policy(observations(32))
+    assert (chosen["action"] == chosen["action_value"].argmax(dim=-1)).all()
+
+
+def test_a_directory_without_a_run_is_named(tmp_path):
+    with pytest.raises(RunError, match=r"empty is not a run's directory: it has no config\.json"):
+        load_policy(tmp_path / "empty")
+
+
+def test_missing_weights_are_named(run):
+    (run.directory / "policy.pt").unlink()
+    with pytest.raises(RunError, match=r"policy\.pt is missing"):
+        load_policy(run.directory)
+
+
+def truncated(weights: Path) -> None:
+    weights.write_bytes(weights.read_bytes()[:1000])
+
+
+def another_kind_of_file(weights: Path) -> None:
+    weights.write_text("nonsense")
+
+
+def a_lone_tensor(weights: Path) -> None:
+    torch.save(torch.zeros(3), weights)
+
+
+def of_another_model(weights: Path) -> None:
+    torch.save(make_q_actor("I", CAMERA.height, CAMERA.width).state_dict(), weights)
+
+
+def of_another_image_size(weights: Path) -> None:
+    torch.save(make_q_actor("S", 2 * CAMERA.height, 2 * CAMERA.width).state_dict(), weights)
+
+
+def with_a_weight_left_out(weights: Path) -> None:
+    kept = dict(list(torch.load(weights, weights_only=True).items())[1:])
+    torch.save(kept, weights)
+
+
+def with_a_weight_too_many(weights: Path) -> None:
+    torch.save(torch.load(weights, weights_only=True) | {"surplus": torch.zeros(1)}, weights)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        truncated,
+        another_kind_of_file,
+        a_lone_tensor,
+        of_another_model,
+        of_another_image_size,
+        with_a_weight_left_out,
+        with_a_weight_too_many,
+    ],
+)
+def test_weights_that_cannot_be_used_are_refused_in_a_sentence(run, damage):
+    damage(run.directory / "policy.pt")
+    with pytest.raises(RunError) as refusal:
+        load_policy(run.directory)
+    assert "policy.pt" in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+class Intruder:
+    def __reduce__(self):
+        return (Path.touch, (Path("intruded"),))
+
+
+def test_nothing_in_a_file_of_weights_is_executed(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    torch.save({"weight": Intruder()}, run.directory / "policy.pt")
+    with pytest.raises(RunError, match="damaged"):
+        load_policy(run.directory)
+    assert not Path("intruded").exists()
+
+
+@pytest.mark.parametrize("content", ["", "[1, 2]", '{"preset": "fast", "gamma": "high"}', '{"gama": 0.9}', "\x00\xff"])
+def test_settings_that_cannot_be_used_are_refused_in_a_sentence(run, content):
+    (run.directory / "config.json").write_bytes(content.encode("latin-1"))
+    with pytest.raises(RunError, match=r"config\.json cannot be used"):
+        load_policy(run.directory)
+
+
+def test_settings_of_a_camera_that_cannot_be_are_refused(run):
+    path = run.directory / "config.json"
+    settings = json.loads(path.read_text())
+    settings["camera"]["width"] = -3
+    path.write_text(json.dumps(settings))
+    with pytest.raises(RunError, match=r"config\.json cannot be used.*width"):
+        load_policy(run.directory)
