@@ -32,7 +32,7 @@ SIZES = ((80, 64), (160, 128))
 """Images that are measured, columns and rows."""
 WORLDS = ("complex_train", "complex_eval")
 """Shipped worlds that are measured, beside generated rooms."""
-_BATCHES = 8  # of poses, which the rounds take in turns
+_BATCHES = 4  # of poses, all of which a renderer renders when its turn comes
 _SEGMENTS = 32  # of a mesh's cylinder
 _AGREEMENT = 0.02  # metres, about one count of a network's image
 
@@ -56,7 +56,7 @@ class Row(NamedTuple):
     height: int
     renderer: str
     images_per_second: float
-    """Of the median round; NaN where the renderer is not installed."""
+    """In the median round; NaN where the renderer is not installed."""
     times_slower: float
     """Than the ray-caster."""
     agreement: float
@@ -120,7 +120,7 @@ def benchmark_camera(
     num_robots: int = 16,
     *,
     peers: bool = False,
-    repeats: int = 25,
+    repeats: int = 11,
     worlds: Sequence[str] = WORLDS,
 ) -> list[Row]:
     """Measures images a second of one size, in generated rooms of 24 obstacles and in ``worlds``.
@@ -129,7 +129,7 @@ def benchmark_camera(
         width, height: of an image, pixels.
         num_robots: images in one call.
         peers: whether to measure the peers that are installed as well.
-        repeats: rounds, in each of which every renderer renders the same ``num_robots`` poses.
+        repeats: rounds, in each of which every renderer renders the same four times ``num_robots`` poses.
         worlds: names of shipped worlds, or world files.
 
     Raises:
@@ -143,7 +143,7 @@ def benchmark_camera(
     return rows
 
 
-def benchmark_scaling(num_robots: int = 16, repeats: int = 50) -> Scaling:
+def benchmark_scaling(num_robots: int = 16, repeats: int = 25) -> Scaling:
     """Measures 80x64 images in a room of 7x7 m and in a hall of 100x100 m, one obstacle a square metre in both."""
     rng = np.random.default_rng(0)
     casts = []
@@ -152,10 +152,10 @@ def benchmark_scaling(num_robots: int = 16, repeats: int = 50) -> Scaling:
         poses = free_poses(rng, world, _BATCHES * num_robots).reshape(_BATCHES, num_robots, 3)
         casts.append((_ray_caster(world, DepthCamera()).render, poses))
     times: list[list[float]] = [[], []]
-    for number in range(repeats + 1):
-        for render, poses, spent in zip(*zip(*casts, strict=True), times, strict=True):
-            spent.append(_seconds(render, poses[number % _BATCHES]))
-    small, large = (statistics.median(spent[1:]) / num_robots * 1e3 for spent in times)
+    for _ in range(repeats + 1):
+        for (render, poses), spent in zip(casts, times, strict=True):
+            spent.append(_seconds(render, poses))
+    small, large = (statistics.median(spent[1:]) / (_BATCHES * num_robots) * 1e3 for spent in times)
     return Scaling(small, large)
 
 
@@ -164,7 +164,7 @@ def run(
     sizes: Sequence[tuple[int, int]] = SIZES,
     num_robots: int = 16,
     peers: bool = False,
-    repeats: int = 25,
+    repeats: int = 11,
     worlds: Sequence[str] = WORLDS,
     console: Console | None = None,
 ) -> None:
@@ -207,9 +207,10 @@ def run(
     )
 
 
-def _seconds(render: Callable[[np.ndarray], np.ndarray], poses: np.ndarray) -> float:
+def _seconds(render: Callable[[np.ndarray], np.ndarray], batches: np.ndarray) -> float:
     start = time.perf_counter()
-    render(poses)
+    for poses in batches:
+        render(poses)
     return time.perf_counter() - start
 
 
@@ -223,13 +224,13 @@ def _compare(world: World, camera: DepthCamera, poses: np.ndarray, peers: bool, 
             missing.append(name)
     agreements = [_agreement(renderer, world, poses[0]) for renderer in renderers]
     times: list[list[float]] = [[] for _ in renderers]
-    for number in range(repeats):
+    for _ in range(repeats):
         for renderer, spent in zip(renderers, times, strict=True):
-            spent.append(_seconds(renderer.render, poses[number % len(poses)]))
+            spent.append(_seconds(renderer.render, poses))
     medians = [statistics.median(spent) for spent in times]
     size = (world.name, camera.width, camera.height)
     rows = [
-        Row(*size, renderer.name, poses.shape[1] / median, median / medians[0], agreement)
+        Row(*size, renderer.name, poses.shape[0] * poses.shape[1] / median, median / medians[0], agreement)
         for renderer, median, agreement in zip(renderers, medians, agreements, strict=True)
     ]
     return rows + [Row(*size, name, math.nan, math.nan, math.nan) for name in missing]

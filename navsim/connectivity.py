@@ -31,8 +31,7 @@ class Chains:
 
     def __init__(self, footprints: Footprints, robot_radius: float) -> None:
         first, second, knee = _links(footprints, robot_radius)
-        centres = np.add.reduceat(footprints.starts, footprints.first) / footprints.count[:, None]
-        self._corners = np.stack([centres[first], knee, centres[second]], axis=1)
+        self._corners = np.stack([footprints.centre[first], knee, footprints.centre[second]], axis=1)
         self._first, self._second = first, second
         self._parent, self._generations, self._closing = _spanning_forest(len(footprints), first, second)
 

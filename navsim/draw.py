@@ -247,10 +247,6 @@ def _world_legend(
 ) -> list[Any]:
     handles: list[Any] = []
     middle = HEIGHT_COLOURS(0.3)
-    if starts and not world.random_starts:
-        handles.append(Line2D([], [], ls="none", marker="o", ms=8, mfc="white", mec=START, label="start"))
-    if goals and not world.random_goals:
-        handles.append(Line2D([], [], ls="none", marker="D", ms=6.5, mfc=GOAL, mec="white", label="goal"))
     labels = {
         "low": f"lower than the camera ({camera.mount_z:g} m)",
         "clear": f"the robot ({robot.height:g} m) fits under",
@@ -262,6 +258,10 @@ def _world_legend(
             handles.append(
                 Patch(fc=middle, ec=INK, lw=0.7, ls=line, hatch=_HATCHES[kind], hatch_linewidth=0.5, label=label)
             )
+    if starts and not world.random_starts:
+        handles.append(Line2D([], [], ls="none", marker="o", ms=8, mfc="white", mec=START, label="start"))
+    if goals and not world.random_goals:
+        handles.append(Line2D([], [], ls="none", marker="D", ms=6.5, mfc=GOAL, mec="white", label="goal"))
     return handles
 
 
@@ -406,6 +406,8 @@ def draw_depth_stack(
     heading: float,
     q_values: Sequence[float] | np.ndarray,
     camera: DepthCamera | None = None,
+    *,
+    interval: float = 0.2,
 ) -> None:
     """Draw what a network sees and what it makes of it: four depth images, the goal's direction, and seven Q-values.
 
@@ -415,6 +417,7 @@ def draw_depth_stack(
         heading: the goal's bearing in the robot's frame, radians, left positive.
         q_values: of the seven actions; the greatest is the action taken, drawn in colour.
         camera: gives the range of the depth scale.
+        interval: time between the images, seconds.
     """
     stack, camera = np.asarray(stack), camera or DepthCamera()
     grid = figure.add_gridspec(2, 1, height_ratios=(1.0, 1.25))
@@ -423,7 +426,7 @@ def draw_depth_stack(
         axes = figure.add_subplot(images[index])
         image = draw_depth(axes, depth, camera, colour_bar=False)
         age = len(stack) - 1 - index
-        axes.set_title("now" if age == 0 else f"{0.2 * age:.1f} s ago", fontsize=9, color=INK)
+        axes.set_title("now" if age == 0 else f"{interval * age:.1f} s ago", fontsize=9, color=INK)
     draw_scale(axes, image, "depth, m")
     lower = grid[1].subgridspec(1, 2, width_ratios=(1.0, 2.6))
     draw_heading(figure.add_subplot(lower[0]), heading)

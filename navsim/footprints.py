@@ -37,19 +37,33 @@ class Footprints:
     high: np.ndarray
     """``(P, 2)``: greatest x and y of each footprint, metres."""
 
+    centre: np.ndarray
+    """``(P, 2)``: a point inside each core, metres."""
+    inner: np.ndarray
+    """``(P,)``: radius of a disc around ``centre`` that the core holds, metres."""
+    outer: np.ndarray
+    """``(P,)``: radius of a disc around ``centre`` that holds the core, metres."""
+
     @classmethod
     def of(cls, prisms: Sequence[Prism]) -> Footprints:
         """The footprints of ``prisms``, in their order."""
+        if not prisms:
+            none, flat, index = np.empty((0, 2)), np.empty(0), np.empty(0, dtype=np.intp)
+            return cls(none, none, index, index, flat, none, none, none, flat, flat)
         count = np.array([len(prism.vertices) for prism in prisms], dtype=np.intp)
         first = np.cumsum(count) - count
-        starts = np.concatenate([np.empty((0, 2)), *(prism.vertices for prism in prisms)])
+        starts = np.concatenate([prism.vertices for prism in prisms])
         following = np.arange(1, len(starts) + 1)
         following[first + count - 1] = first
+        ends = starts[following]
         radius = np.array([prism.radius for prism in prisms])
-        empty = np.empty((0, 2))
-        low = np.minimum.reduceat(starts, first) - radius[:, None] if len(prisms) else empty
-        high = np.maximum.reduceat(starts, first) + radius[:, None] if len(prisms) else empty
-        return cls(starts, starts[following], first, count, radius, low, high)
+        low = np.minimum.reduceat(starts, first) - radius[:, None]
+        high = np.maximum.reduceat(starts, first) + radius[:, None]
+        centre = np.add.reduceat(starts, first) / count[:, None]
+        along, inwards = ends - starts, np.repeat(centre, count, axis=0) - starts
+        from_edges = np.minimum.reduceat(_divide(_cross(along, inwards), np.sqrt(_dot(along, along))), first)
+        outer = np.sqrt(np.maximum.reduceat(_dot(inwards, inwards), first))
+        return cls(starts, ends, first, count, radius, low, high, centre, np.maximum(from_edges, 0.0), outer)
 
     def __len__(self) -> int:
         return len(self.count)
@@ -135,13 +149,12 @@ class Footprints:
         index = np.full(len(points), -1, dtype=np.intp)
         if not len(self):
             return distance, index
-        centre = np.add.reduceat(self.starts, self.first) / self.count[:, None]
         chunk = max(1, PAIRS_A_CHUNK // len(self))
         for begin in range(0, len(points), chunk):
             part = points[begin : begin + chunk]
             outside = np.maximum(np.maximum(self.low - part[:, None], part[:, None] - self.high), 0.0)
             at_least = np.sqrt(_dot(outside, outside))
-            towards = centre - part[:, None]
+            towards = self.centre - part[:, None]
             at_most = np.sqrt(_dot(towards, towards)) - self.radius
             worth_it = (at_least <= at_most.min(axis=1, keepdims=True)) | (at_least == 0.0)
             query, prism = np.nonzero(worth_it)
@@ -181,6 +194,14 @@ class Footprints:
         for segment, prism in overlapping_boxes(low, high, self.low - reach, self.high + reach):
             undecided = keeps[segment]
             segment, prism = segment[undecided], prism[undecided]
+            # Most pairs are decided by the discs inside and around a core; only the rest needs its edges.
+            begin, way = starts[segment], ends[segment] - starts[segment]
+            offset = self.centre[prism] - begin
+            gap = offset - _share(offset, way)[:, None] * way
+            distance = np.sqrt(_dot(gap, gap))
+            keeps[segment[distance < self.inner[prism] + clear[prism]]] = False
+            unclear = keeps[segment] & (distance < self.outer[prism] + clear[prism])
+            segment, prism = segment[unclear], prism[unclear]
             distance = self.segment_distances(starts[segment], ends[segment], prism) + self.radius[prism]
             keeps[segment[distance < clear[prism]]] = False
         return keeps

@@ -51,8 +51,8 @@ class _Effort:
 
 _EFFORTS = (
     _Effort(margin=0.02, guide_margin=0.1, cell=0.06, headings=40, greed=1.3, max_nodes=12_000),
-    _Effort(margin=0.005, guide_margin=0.03, cell=0.04, headings=80, greed=1.5, max_nodes=50_000),
-    _Effort(margin=1e-4, guide_margin=0.0, cell=0.025, headings=160, greed=1.5, max_nodes=200_000),
+    _Effort(margin=0.005, guide_margin=0.03, cell=0.04, headings=80, greed=1.5, max_nodes=30_000),
+    _Effort(margin=1e-4, guide_margin=0.0, cell=0.03, headings=120, greed=1.5, max_nodes=80_000),
 )
 """One after the other until there is a plan: with ease, then tighter, then all that the rules allow."""
 
@@ -105,10 +105,17 @@ class Oracle:
             no such actions were found, be it that there are none or that the search gave up.
         """
         pose, target = np.asarray(start_pose, dtype=np.float64), np.asarray(goal, dtype=np.float64)
-        if shortest_path(
-            self.world, pose[:2], target, robot_radius=self.robot.radius, robot_height=self.robot.height,
-            goal_radius=self.task.goal_radius,
-        ) is None:
+        if (
+            shortest_path(
+                self.world,
+                pose[:2],
+                target,
+                robot_radius=self.robot.radius,
+                robot_height=self.robot.height,
+                goal_radius=self.task.goal_radius,
+            )
+            is None
+        ):
             return None
         for effort in _EFFORTS:
             actions = _search(pose, target, effort, self._rules, self._guide(target, effort))
@@ -286,6 +293,7 @@ def _search(
     costs, steps = np.empty(capacity), np.empty(capacity, dtype=np.int64)
     parents, taken = np.empty(capacity, dtype=np.int64), np.empty(capacity, dtype=np.int64)
     poses[0], speeds[0], commands[0], costs[0], steps[0], parents[0] = start_pose, 0.0, INITIAL_COMMAND, 0.0, 0, -1
+    stride = min(_FASTEST, rules.robot.max_linear_speed) * task.control_period
     count, examined = 1, 0
     queue: list[tuple[float, int]] = [(0.0, 0)]
     closed: set[tuple[int, ...]] = set()
@@ -308,7 +316,6 @@ def _search(
             return _actions_to(nodes[check[np.argmax(arrived)]], parents, taken)
         free[free] = ~rules.sees_too_near(track[free, -1], effort.margin)
         allowed[check] = free
-        allowed &= steps[nodes] < task.max_steps
         kept = []
         for position in np.flatnonzero(allowed):
             if cells[position] not in closed:
@@ -321,6 +328,8 @@ def _search(
         track, speed = rules.drive(poses[origin], speeds[origin], command)
         pose = track[:, -1]
         new = np.array([cell not in closed for cell in _cells(pose, command, effort)])
+        straight = goal_distance(pose, goal) - task.goal_radius
+        new &= (steps[origin] + 1) * stride + straight < task.max_steps * stride + _ROUNDING
         origin, action, command, speed, pose = (part[new] for part in (origin, action, command, speed, pose))
         length = np.hypot(*(pose[:, :2] - poses[origin, :2]).T)
         added = slice(count, count + len(origin))

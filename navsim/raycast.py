@@ -2,17 +2,18 @@
 
 A pixel's ray is (1, t, m) per metre of planar depth Z: the slope t to the left depends on the column only, the
 slope m upwards on the row only. So a column of the image is one planar ray, and every convex prism that it crosses
-gives one interval [Z_in, Z_out]. Within a row, a ray is between the prism's base and top for another interval of Z;
-the prism is seen where the two overlap, at the greater of their lower ends. That single rule covers side faces, top
-faces, under faces, and a camera that starts inside a footprint.
+gives one interval [near, far] of Z. The prism's face at `near` covers the rows of slopes between base / near and
+top / near (heights over the camera). A prism that hangs over the camera shows its under face above that, up to
+the slope base / far, at Z = base / m; one that ends below the camera shows its top face likewise, upside down.
 
-Columns are not searched for what they might hit: footprints are projected into the image instead. An edge of a
-footprint covers the columns between the projections of its two ends, so the work is proportional to what is in view.
-Neighbouring edges share a vertex, whose projection is computed once, and a column belongs to an edge by a half-open
-comparison with it: no column falls between two edges, none is counted twice.
+Nothing is searched for: footprints are projected into the image, edge by edge, and the heights of a crossing into
+its column. Neighbouring edges share a vertex, whose projection is computed once, and a column belongs to an edge by a
+half-open comparison with it: no column falls between two edges, none is counted twice. The work is proportional
+to what is in view.
 
-In each column, the nearest prism that covers every row hides all behind it; only what stands before it is worked out
-row by row.
+Most prisms stand across the camera's height. In the upper half of a column they cover every row from the slope of
+their top down to the level row; in the lower half, from the slope of their base up to it. So the nearest of them in
+every row is a running minimum from the image's border to its middle.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ from navsim.prism import Prism
 from navsim.world import World
 
 _NEAR = 1e-9
-"""Edges are cut off this far in front of the camera's plane, metres: what lies nearer projects outside any image."""
+"""Edges are cut off this far in front of the camera's plane, metres: what lies nearer projects outside any image.
+
+Polygons this close to the camera hold it; lines this close to it are seen edge-on, which is not at all."""
 
 
 class Scene:
@@ -182,17 +185,21 @@ def cast(scene: Scene, world_index: np.ndarray, poses: np.ndarray, camera: Depth
     Returns:
         ``(N, H, W)`` float32, planar depth in metres, at most ``camera.max_range``.
     """
-    num_robots, width = len(poses), camera.width
-    slopes = camera.inverse_row_slopes
-    climbing = int(np.count_nonzero(slopes > 0))
-    image = np.empty((num_robots, camera.height, width), dtype=np.float32)
-    traced = _trace_columns(scene, world_index, poses, camera, camera.max_range)
-    for half, rows in zip(traced, (slice(0, climbing), slice(climbing, camera.height)), strict=True):
-        inverse = slopes[rows]
-        floor = np.where(inverse < 0, np.minimum(-camera.mount_z * inverse, camera.max_range), camera.max_range)
-        columns = np.minimum(half.cover.astype(np.float32)[:, None], floor.astype(np.float32))  # (N*W, rows)
-        _paint(columns, half, inverse)
-        image[:, rows] = columns.reshape(num_robots, width, len(inverse)).swapaxes(1, 2)
+    standing, floating = _trace(scene, world_index, poses, camera, camera.max_range)
+    num_robots, height, width = len(poses), camera.height, camera.width
+    half = (height + 1) // 2
+    # The upper half of the images, and the lower one upside down; of an odd number of rows, both hold the level one.
+    halves = np.full((2, half, num_robots * width), camera.max_range, dtype=np.float32)
+    _paint_standing(halves[0], standing, standing.top, camera)
+    _paint_standing(halves[1], standing, -standing.base, camera)
+    floor = camera.mount_z * camera.inverse_row_slopes[:half]
+    np.minimum(halves[1], floor.astype(np.float32)[:, None], out=halves[1])
+    _paint_floating(halves, floating, camera)
+
+    upper, lower = halves.reshape(2, half, num_robots, width).swapaxes(1, 2)
+    image = np.empty((num_robots, height, width), dtype=np.float32)
+    image[:, ::-1][:, :half] = lower
+    image[:, :half] = upper
     return image
 
 
@@ -208,35 +215,79 @@ def nearest_depth(
     Returns:
         ``(N,)`` float32, metres; ``within`` where nothing nearer is seen.
     """
-    slopes = camera.inverse_row_slopes
-    climbing = int(np.count_nonzero(slopes > 0))
+    standing, floating = _trace(scene, world_index, poses, camera, within)
     nearest = np.full(len(poses), within, dtype=np.float32)
-    traced = _trace_columns(scene, world_index, poses, camera, within)
-    for half, inverse in zip(traced, (slopes[:climbing], slopes[climbing:]), strict=True):
-        if len(inverse):
-            cover = half.cover.reshape(len(poses), camera.width).min(axis=1).astype(np.float32)
-            # What fills falling rows may stand where the last of them has already met the floor.
-            farthest = -camera.mount_z * inverse[0] if inverse[0] < 0 else np.inf
-            np.minimum(nearest, cover, out=nearest, where=cover <= farthest)
-            if len(half.column):
-                np.minimum.at(nearest, half.column // camera.width, _depth_by_row(half, inverse).min(axis=1))
+
+    upper, lower = (camera.height + 1) // 2, camera.height // 2
+    seen = _row_of(standing.top, standing.near, camera) < upper
+    seen |= _row_of(-standing.base, standing.near, camera) < lower
+    np.minimum.at(nearest, standing.column[seen] // camera.width, standing.near[seen].astype(np.float32))
+
+    low, first, count = _hanging(floating, camera)
+    seen = count > 0
+    depth = np.maximum(floating.near[seen], low[seen] * camera.inverse_row_slopes[first[seen]])
+    np.minimum.at(nearest, floating.column[seen] // camera.width, depth.astype(np.float32))
     return nearest
 
 
-class _Half(NamedTuple):
-    """What the climbing (or the falling) rows of every column can see of the prisms.
+class _Crossings(NamedTuple):
+    """Stretches of columns' planar rays through prisms, one an entry of each array ``(M,)``."""
 
-    ``cover`` is ``(N*W,)``: the depth, metres, of the nearest prism that fills all these rows of a column
-    (the greatest depth where there is none). The other arrays have one entry for each stretch of a column's planar ray
-    through a prism that fills these rows only partly and stands before the cover.
-    """
-
-    cover: np.ndarray
     column: np.ndarray  # robot * W + column
     near: np.ndarray  # depth at which the ray enters the footprint, metres
-    far: np.ndarray  # depth at which it leaves the footprint; inf where no row could tell
-    enter: np.ndarray  # height over the camera at which these rows enter the prism, metres: its base for climbing rows
-    leave: np.ndarray  # height over the camera at which they leave it, metres: its top for climbing rows
+    far: np.ndarray  # depth at which it leaves the footprint
+    base: np.ndarray  # the prism's heights over the camera, metres
+    top: np.ndarray
+
+
+def _row_of(height: np.ndarray, depth: np.ndarray, camera: DepthCamera) -> np.ndarray:
+    """First row of the upper half that passes under ``height`` (metres over the camera) at ``depth``; or their number."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        row = camera.height / 2 - 0.5 - camera.fy * height / depth
+    return np.ceil(np.fmin(np.fmax(row, 0.0), (camera.height + 1) // 2)).astype(np.intp)
+
+
+def _paint_standing(rows: np.ndarray, standing: _Crossings, edge: np.ndarray, camera: DepthCamera) -> None:
+    """Draws prisms that reach from the height ``edge`` to the camera's: a pixel keeps the least depth.
+
+    Args:
+        rows: ``(R, N*W)``, half of the images.
+        standing: the prisms.
+        edge: ``(M,)`` metres over the camera.
+        camera: the camera.
+    """
+    first = _row_of(edge, standing.near, camera)
+    seen = np.flatnonzero(first < len(rows))
+    pixel = first[seen] * rows.shape[1] + standing.column[seen]
+    np.minimum.at(rows.reshape(-1), pixel, standing.near[seen].astype(np.float32))
+    for row, next_row in zip(rows, rows[1:], strict=False):
+        np.minimum(row, next_row, out=next_row)
+
+
+def _hanging(floating: _Crossings, camera: DepthCamera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """How prisms hang over the camera; those below it hang over it in the half that is upside down.
+
+    Returns:
+        height over the camera of the face that is seen, metres; first row, number of rows in which the prism is seen.
+    """
+    above = floating.base > 0.0
+    low = np.where(above, floating.base, -floating.top)
+    first = _row_of(np.where(above, floating.top, -floating.base), floating.near, camera)
+    return low, first, np.maximum(_row_of(low, floating.far, camera) - first, 0)
+
+
+def _paint_floating(halves: np.ndarray, floating: _Crossings, camera: DepthCamera) -> None:
+    """Draws prisms that are wholly above or below the camera over ``halves`` ``(2, R, N*W)`` of images."""
+    low, first, count = _hanging(floating, camera)
+    pixels, (_, half, row_size) = halves.reshape(-1), halves.shape
+    start = floating.column + first * row_size + np.where(floating.base > 0.0, 0, half * row_size)
+    shown = np.flatnonzero(count)
+    # What stands before it in the first of its rows stands before it in all of them.
+    shown = shown[floating.near[shown] < pixels[start[shown]]]
+    owner, step = _expand(count[shown])
+    owner = shown[owner]
+    depth = np.maximum(floating.near[owner], low[owner] * camera.inverse_row_slopes[first[owner] + step])
+    np.minimum.at(pixels, start[owner] + step * row_size, depth.astype(np.float32))
 
 
 def _expand(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -246,16 +297,15 @@ def _expand(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return owner, np.arange(len(owner)) - first[owner]
 
 
-def _trace_columns(
+def _trace(
     scene: Scene, world_index: np.ndarray, poses: np.ndarray, camera: DepthCamera, max_range: float
-) -> tuple[_Half, _Half]:
-    """What the climbing and what the falling rows of every column can see, up to ``max_range`` metres."""
-    width, fx, eye = camera.width, camera.fx, camera.mount_z
-    slopes = camera.column_slopes
+) -> tuple[_Crossings, _Crossings]:
+    """Crossings of all columns, up to ``max_range`` metres: with prisms at the camera's height, and with others."""
+    eye = camera.mount_z
     cosine, sine = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    cameras = poses[:, :2] + np.stack(
-        [cosine * camera.mount_x - sine * camera.mount_y, sine * camera.mount_x + cosine * camera.mount_y], axis=1
-    )
+    cameras = np.empty((len(poses), 2))
+    cameras[:, 0] = poses[:, 0] + cosine * camera.mount_x - sine * camera.mount_y
+    cameras[:, 1] = poses[:, 1] + sine * camera.mount_x + cosine * camera.mount_y
     half_width = math.tan(math.radians(camera.horizontal_fov_deg) / 2)
     robot, prism = scene.candidates(world_index, cameras, max_range * math.hypot(1.0, half_width))
 
@@ -269,101 +319,30 @@ def _trace_columns(
     beyond = forward * half_width + reach * math.hypot(1.0, half_width)
     seen = np.flatnonzero((forward > -reach) & (forward < max_range + reach) & (np.abs(left) < beyond))
     robot, prism, forward, left, c, s = robot[seen], prism[seen], forward[seen], left[seen], c[seen], s[seen]
-    base, top = scene.base[prism], scene.top[prism]
-    # The top or the under face can be seen only by a camera above or below it; else the far side does not matter.
-    needs_far = (top < eye) | (base > eye)
-    pieces: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []  # pair, column, near, far
+    base, top, radius = scene.base[prism] - eye, scene.top[prism] - eye, scene.radius[prism]
+    floats = (base > 0.0) | (top < 0.0)
 
-    round_ = scene.radius[prism] > 0
-    which = np.flatnonzero(round_)
-    if len(which):
-        pieces.append(_trace_circles(which, forward[which], left[which], scene.radius[prism[which]], camera))
-    which = np.flatnonzero(~round_)
-    if len(which):
-        local, vertex = _expand(scene.vertex_count[prism[which]])
-        pair = which[local]
-        corner = scene.vertices[scene.first_vertex[prism[pair]] + vertex] - cameras[robot[pair]]
-        ahead = corner[:, 0] * c[pair] + corner[:, 1] * s[pair]
-        aside = corner[:, 1] * c[pair] - corner[:, 0] * s[pair]
-        pieces.append(_trace_polygons(which, pair, ahead, aside, needs_far, slopes, fx, width))
-    if pieces:
-        pair, column, near, far = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
-    else:
-        pair, column, near, far = np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(0), np.zeros(0)
-    key = robot[pair] * width + column
-    base, top = base[pair] - eye, top[pair] - eye
-    num_columns = len(poses) * width
-    # A prism is in the way of climbing rows if it reaches above the camera, of falling rows if it reaches below it;
-    # the floor takes the place of whatever part of a prism is missing under it.
-    return (
-        _split(
-            (top >= 0.0),
-            (base <= 0.0) & (top >= camera.row_slopes[0] * near),
-            num_columns,
-            max_range,
-            key,
-            near,
-            far,
-            base,
-            top,
-        ),
-        _split(
-            (base < 0.0),
-            (top >= 0.0) & (base <= np.maximum(-eye, camera.row_slopes[-1] * near)),
-            num_columns,
-            max_range,
-            key,
-            near,
-            far,
-            top,
-            base,
-        ),
+    circles, polygons = np.flatnonzero(radius > 0.0), np.flatnonzero(radius == 0.0)
+    count = scene.vertex_count[prism[polygons]]
+    local, vertex = _expand(count)
+    pair = polygons[local]
+    corner = scene.vertices[scene.first_vertex[prism[pair]] + vertex] - cameras[robot[pair]]
+    ahead = corner[:, 0] * c[pair] + corner[:, 1] * s[pair]
+    aside = corner[:, 1] * c[pair] - corner[:, 0] * s[pair]
+    parts = (
+        _trace_circles(circles, forward[circles], left[circles], radius[circles], camera),
+        _trace_polygons(polygons, count, ahead, aside, floats, camera),
     )
+    pair, column, near, far = (np.concatenate(both) for both in zip(*parts, strict=True))
+    column += (robot * camera.width)[pair]
 
+    def crossings(chosen: np.ndarray) -> _Crossings:
+        index = np.flatnonzero(chosen & (near < max_range))
+        of_pair = pair[index]
+        return _Crossings(column[index], near[index], far[index], base[of_pair], top[of_pair])
 
-def _split(
-    in_the_way: np.ndarray,
-    fills: np.ndarray,
-    num_columns: int,
-    max_range: float,
-    key: np.ndarray,
-    near: np.ndarray,
-    far: np.ndarray,
-    enter: np.ndarray,
-    leave: np.ndarray,
-) -> _Half:
-    """Sorts crossings into the nearest that fills all of a column's rows, and those before it that do not."""
-    cover = np.full(num_columns, max_range)
-    np.minimum.at(cover, key[fills], near[fills])
-    keep = np.flatnonzero(in_the_way & ~fills & (near < cover[key]))
-    return _Half(cover, key[keep], near[keep], far[keep], enter[keep], leave[keep])
-
-
-def _paint(columns: np.ndarray, half: _Half, inverse_slopes: np.ndarray) -> None:
-    """Draws the partly filled stretches over ``columns`` ``(N*W, rows)``: a pixel keeps the least depth."""
-    if not len(half.column) or not len(inverse_slopes):
-        return
-    order = np.argsort(half.column, kind="stable")
-    column = half.column[order]
-    first = np.flatnonzero(np.diff(column, prepend=-1))
-    rank = np.arange(len(column)) - np.repeat(first, np.diff(first, append=len(column)))
-    depth = _depth_by_row(half, inverse_slopes)
-    # The k-th stretches of all columns together: no column twice, so that plain indexing may write.
-    for k in range(int(rank.max()) + 1):
-        chosen = order[rank == k]
-        into = half.column[chosen]
-        columns[into] = np.minimum(columns[into], depth[chosen])
-
-
-def _depth_by_row(half: _Half, inverse_slopes: np.ndarray) -> np.ndarray:
-    """``(S, rows)`` float32, the depth at which each row's ray meets each stretch's prism; inf where it does not."""
-    inverse = inverse_slopes.astype(np.float32)
-    depth = half.enter.astype(np.float32)[:, None] * inverse
-    np.maximum(depth, half.near.astype(np.float32)[:, None], out=depth)
-    leave = half.leave.astype(np.float32)[:, None] * inverse
-    np.minimum(leave, half.far.astype(np.float32)[:, None], out=leave)
-    np.copyto(depth, np.float32(np.inf), where=depth > leave)
-    return depth
+    floating = floats[pair]
+    return crossings(~floating), crossings(floating)
 
 
 def _columns_between(u_first: np.ndarray, u_last: np.ndarray, width: int) -> tuple[np.ndarray, np.ndarray]:
@@ -403,76 +382,65 @@ def _trace_circles(
 
 def _trace_polygons(
     polygons: np.ndarray,
-    pair: np.ndarray,
+    count: np.ndarray,
     ahead: np.ndarray,
     aside: np.ndarray,
-    needs_far: np.ndarray,
-    slopes: np.ndarray,
-    fx: float,
-    width: int,
+    floats: np.ndarray,
+    camera: DepthCamera,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Columns' rays through convex polygons: pair, column, near, far of each crossing.
 
     Args:
-        polygons: pairs that are polygons.
-        pair: ``(E,)`` each vertex's pair, ordered; vertices counter-clockwise within it.
-        ahead, aside: ``(E,)`` each vertex in the camera's frame, metres.
-        needs_far: by pair, whether the depth at which rays leave matters.
-        slopes, fx, width: the camera's columns.
+        polygons: ``(Q,)`` pairs that are polygons.
+        count: ``(Q,)`` numbers of their vertices.
+        ahead, aside: ``(E,)`` the vertices in the camera's frame, metres, counter-clockwise within each polygon.
+        floats: by pair, whether the depth at which rays leave matters; elsewhere ``far`` is ``near``.
+        camera: the camera.
     """
-    last = np.append(pair[1:] != pair[:-1], True)
-    first_vertex = np.flatnonzero(np.append(True, last[:-1]))
-    following = np.arange(1, len(pair) + 1)
-    following[last] = first_vertex
+    width, fx = camera.width, camera.fx
+    first = np.cumsum(count) - count
+    following = np.arange(1, len(ahead) + 1)
+    following[first + count - 1] = first
+    pair = np.repeat(polygons, count)
     ahead_1, aside_1 = ahead[following], aside[following]
     # The edge's line: normal . P = offset; negative offsets for edges that face the camera.
     normal_ahead, normal_aside = aside_1 - aside, ahead - ahead_1
     offset = normal_ahead * ahead + normal_aside * aside
-    # So near to a polygon that what is in view may be cut off below counts as inside it.
-    margin = _NEAR * math.hypot(1.0, slopes[0]) * np.hypot(normal_ahead, normal_aside)
-    inside = np.zeros(len(needs_far), dtype=bool)
-    inside[polygons] = np.minimum.reduceat(offset + margin, first_vertex) >= 0.0
+    margin = _NEAR * math.hypot(1.0, camera.column_slopes[0]) * np.hypot(normal_ahead, normal_aside)
+    inside = np.zeros(len(floats), dtype=bool)
+    inside[polygons] = np.minimum.reduceat(offset + margin, first) >= 0.0
 
     behind = ahead < _NEAR
+    behind_1 = behind[following]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         u = width / 2 - 0.5 - fx * aside / ahead
         crossing = aside + (aside_1 - aside) * (_NEAR - ahead) / (ahead_1 - ahead)
-    u_crossing = width / 2 - 0.5 - fx * crossing / _NEAR
-    behind_1 = behind[following]
-    u_0 = np.where(behind, u_crossing, u)
-    u_1 = np.where(behind_1, u_crossing, u[following])
-    visible = ~(behind & behind_1)
-    shallow, deep = np.maximum(np.minimum(ahead, ahead_1), 0.0), np.maximum(ahead, ahead_1)
-
-    def depth_on(edge: np.ndarray, column: np.ndarray) -> np.ndarray:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            depth = offset[edge] / (normal_ahead[edge] + normal_aside[edge] * slopes[column])
-        # A column's ray along an edge meets it anywhere, and rounding could make that a place beyond its ends.
-        return np.fmin(np.fmax(depth, shallow[edge]), deep[edge])
-
-    # Seen from outside, the edges of a counter-clockwise polygon that face the camera run to the right in the image.
-    front = np.flatnonzero(visible & (u_1 > u_0) & ~inside[pair])
-    column_first, count = _columns_between(u_0[front], u_1[front], width)
-    owner, step = _expand(count)
-    edge, column = front[owner], column_first[owner] + step
-    near = depth_on(edge, column)
-    front_pair = pair[edge]
-
-    back = np.flatnonzero(visible & (u_0 > u_1) & (needs_far | inside)[pair])
-    column_first, count = _columns_between(u_1[back], u_0[back], width)
-    owner, step = _expand(count)
-    edge, back_column = back[owner], column_first[owner] + step
-    back_far = depth_on(edge, back_column)
-    back_pair = pair[edge]
-
-    far_of = np.full(len(needs_far) * width, np.nan)
-    far_of[back_pair * width + back_column] = back_far
-    far = far_of[front_pair * width + column]
-    far = np.where(np.isnan(far), np.where(needs_far[front_pair], near, np.inf), far)
-    within = inside[back_pair]
-    return (
-        np.concatenate([front_pair, back_pair[within]]),
-        np.concatenate([column, back_column[within]]),
-        np.concatenate([near, np.zeros(int(within.sum()))]),
-        np.concatenate([far, back_far[within]]),
+        u_crossing = width / 2 - 0.5 - fx * crossing / _NEAR
+        # Depth along an edge is the inverse of a line over the columns.
+        inverse_slope = -normal_aside / (fx * offset)
+        inverse_start = normal_ahead / offset - inverse_slope * (width / 2 - 0.5)
+    begin, end = (
+        np.ceil(np.fmin(np.fmax(end_of_edge, 0.0), width))
+        for end_of_edge in (np.where(behind, u_crossing, u), np.where(behind_1, u_crossing, u[following]))
     )
+    # Seen from outside, the edges of a counter-clockwise polygon that face the camera run to the right in the image.
+    runs = np.where((behind & behind_1) | (np.abs(offset) <= margin), 0.0, end - begin)
+
+    def columns_of(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pair, column and depth of each crossing of these edges."""
+        owner, step = _expand(np.abs(runs[edges]).astype(np.intp))
+        edge = edges[owner]
+        column = np.minimum(begin, end)[edges].astype(np.intp)[owner] + step
+        return pair[edge], column, 1.0 / (inverse_start[edge] + inverse_slope[edge] * column)
+
+    holds = inside[pair]
+    entered, column, near = columns_of(np.flatnonzero(np.where(holds, runs < 0.0, runs > 0.0)))
+    near[inside[entered]] = 0.0
+    left, left_column, left_far = columns_of(np.flatnonzero((runs < 0.0) & floats[pair]))
+    number = np.cumsum(floats) - 1  # of pairs that float
+    far_of = np.zeros(np.count_nonzero(floats) * width)
+    far_of[number[left] * width + left_column] = left_far
+    far = near.copy()
+    floating = np.flatnonzero(floats[entered])
+    far[floating] = np.maximum(near[floating], far_of[number[entered[floating]] * width + column[floating]])
+    return entered, column, near, far

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 from matplotlib.collections import LineCollection
@@ -27,8 +28,10 @@ def save_plan_view(world: World, path: str | Path) -> Path:
     figure = new_figure(8.0, 8.0)
     axes = figure.add_subplot()
     draw_world(axes, world, names=True)
-    paths = [shortest_path(world, world.starts[start].at, world.goals[goal].at) for start, goal in world.paths]
-    lines = [line for line in paths if line is not None]
-    axes.add_collection(LineCollection(lines, colors=VIEW, lw=0.8, alpha=0.5, zorder=2.9), autolim=False)
+    if not isinstance(world.starts, str) and not isinstance(world.goals, str):
+        pairs = itertools.product(world.starts, world.goals)
+        paths = [shortest_path(world, start.at, goal.at) for start, goal in pairs]
+        lines = [path for path in paths if path is not None]
+        axes.add_collection(LineCollection(lines, colors=VIEW, lw=0.8, alpha=0.5, zorder=2.9), autolim=False)
     axes.set_title(str(world), fontsize=9)
     return save_figure(figure, path)

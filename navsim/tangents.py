@@ -23,10 +23,6 @@ from navsim.footprints import Footprints, overlapping_boxes
 
 TOLERANCE = 1e-7
 """Metres and radians: contact and clearance are judged with this slack."""
-EXACT_UP_TO = 150
-"""Obstacles: in a world with more of them, only corners within a certain reach of each other are joined."""
-NEIGHBOURS = 40
-"""Obstacles within that reach, on average."""
 ARC_STEP = math.radians(3.0)
 """Between the points that stand for an arc in a polyline; their chords cut a 0.2 m corner by less than 0.1 mm."""
 PAIRS_A_CHUNK = 200_000
@@ -92,18 +88,20 @@ class _Segments(NamedTuple):
 class TangentGraph:
     """The tangent graph of a robot among footprints, ready for many starts and goals.
 
-    Paths are exact among up to ``EXACT_UP_TO`` footprints. Among more, the graph leaves out sight lines that are much
-    longer than the space between obstacles; a path may then be slightly longer than the shortest.
-
     Args:
         footprints: the obstacles.
         robot_radius: metres.
         half_extents: ``(2,)``, metres: the robot's centre stays in the rectangle of twice these around the origin.
+        reach: metres: tangents join places no further apart than this along x and y. Paths are exact when that is
+            infinite; else the graph is smaller, and may lack the long sight lines that a shorter path would take.
     """
 
-    def __init__(self, footprints: Footprints, robot_radius: float, half_extents: np.ndarray) -> None:
+    def __init__(
+        self, footprints: Footprints, robot_radius: float, half_extents: np.ndarray, reach: float = math.inf
+    ) -> None:
         self._footprints = footprints
         self._half_extents = half_extents
+        self._reach = reach
         self._grown = footprints.radius + robot_radius
         self._discs = _Discs.around(footprints, robot_radius)
         self._knots, self._blocked = self._blocked_arcs()
@@ -118,17 +116,31 @@ class TangentGraph:
             there is none.
         """
         first = len(self._discs.centre)
-        ends = np.append(self._ends_beside_obstacles(goal, goal_radius), goal)
+        ends = np.append(self.ends_beside_obstacles(goal, goal_radius), goal)
         discs = self._discs.with_points(np.append(start, ends))
         last = first + len(ends)
-        corners, points = np.arange(first), np.arange(first + 1, last + 1)
-        leaving = np.append(corners, points)
+        near_start, points = self._corners_near(start), np.arange(first + 1, last + 1)
+        leaving = np.append(near_start, points)
         begin = self._free_segments(discs, np.full(len(leaving), first), leaving, (last, goal_radius))
-        tail, head = np.repeat(corners, len(points)), np.tile(points, len(corners))
+        near_goal = self._corners_near(goal)
+        tail, head = np.repeat(near_goal, len(points)), np.tile(points, len(near_goal))
         end = self._free_segments(discs, tail, head, (last, goal_radius))
         segments = _joined(self._segments, begin, end)
-        length, nodes = _search(discs, segments, self._arcs(discs, segments), first)
+        length, nodes = _search(segments, self._arcs(discs, segments), first)
         return length, _polyline(discs, segments, nodes)
+
+    def ends_beside_obstacles(self, goal: complex, goal_radius: float) -> np.ndarray:
+        """Where the goal's circle meets the outline of the free space, ``(K,)``: a path may end there, at a slant."""
+        if goal_radius == 0.0:
+            return np.empty(0, dtype=complex)
+        _, angles = self._outline_angles(np.array([goal]), np.array([goal_radius]))
+        ends = goal + goal_radius * np.exp(1j * angles)
+        return ends[self._is_free(ends)]
+
+    def _corners_near(self, point: complex) -> np.ndarray:
+        """The discs to look for tangents through ``point``, ``(N,)``."""
+        away = self._discs.centre - point
+        return np.flatnonzero(np.maximum(np.abs(away.real), np.abs(away.imag)) <= self._reach)
 
     def _is_free(self, points: np.ndarray) -> np.ndarray:
         """Whether the robot fits at each of ``points`` ``(K,)``: ``(K,)``."""
@@ -139,16 +151,15 @@ class TangentGraph:
     def _corner_pairs(self) -> tuple[np.ndarray, np.ndarray]:
         """The pairs of discs to look for tangents between, ``(N,)`` and ``(N,)``."""
         footprints, count = self._footprints, len(self._discs.centre)
-        if len(footprints) <= EXACT_UP_TO:
+        if self._reach == math.inf or not count:
             return np.triu_indices(count, 1)
-        area = np.prod(np.ptp(footprints.starts, axis=0))
-        reach = math.sqrt(NEIGHBOURS * area / (math.pi * len(footprints)))
-        low, high = footprints.starts - 0.5 * reach, footprints.starts + 0.5 * reach
+        low, high = footprints.starts - 0.5 * self._reach, footprints.starts + 0.5 * self._reach
         tails, heads = zip(*overlapping_boxes(low, high, low, high), strict=True)
         tail, head = np.concatenate(tails), np.concatenate(heads)
         near = tail < head
-        along = footprints.following(np.arange(count))
-        return np.append(tail[near], np.arange(count)), np.append(head[near], along)
+        # However long a side of an obstacle is, a path may lead along it.
+        every = np.arange(count)
+        return np.append(tail[near], every), np.append(head[near], footprints.following(every))
 
     def _free_segments(
         self, discs: _Discs, tail: np.ndarray, head: np.ndarray, goal: tuple[int, float] | None = None
@@ -173,14 +184,6 @@ class TangentGraph:
             free = self._footprints.segments_keep_clear(_plane(segments.begin), _plane(segments.end), clear)
             found.append(segments.where(free))
         return _joined(*found)
-
-    def _ends_beside_obstacles(self, goal: complex, goal_radius: float) -> np.ndarray:
-        """Where the goal's circle meets the outline of the free space: a path may end there, at a slant."""
-        if goal_radius == 0.0:
-            return np.empty(0, dtype=complex)
-        _, angles = self._outline_angles(np.array([goal]), np.array([goal_radius]))
-        ends = goal + goal_radius * np.exp(1j * angles)
-        return ends[self._is_free(ends)]
 
     def _outline_angles(self, centre: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where circles may cross the outline of the free space: every such place, and others.
@@ -291,8 +294,8 @@ def _tangents(discs: _Discs, tail: np.ndarray, head: np.ndarray) -> _Segments:
             direction = towards[exists] / (run + 1j * rise[exists])
             left = 1j * direction / np.abs(direction)
             t, h = tail[exists], head[exists]
-            touches = (tail_side * _dot(left, discs.sides[:, t]) >= -TOLERANCE).all(axis=0)
-            touches &= (head_side * _dot(left, discs.sides[:, h]) >= -TOLERANCE).all(axis=0)
+            beside_tail = tail_side * _dot(left, discs.sides[:, t]) >= -TOLERANCE
+            beside_head = head_side * _dot(left, discs.sides[:, h]) >= -TOLERANCE
             segments = _Segments(
                 t,
                 h,
@@ -301,7 +304,7 @@ def _tangents(discs: _Discs, tail: np.ndarray, head: np.ndarray) -> _Segments:
                 discs.centre[t] - tail_side * discs.radius[t] * left,
                 discs.centre[h] - head_side * discs.radius[h] * left,
             )
-            found.append(segments.where(touches))
+            found.append(segments.where((beside_tail & beside_head).all(axis=0)))
     return _joined(*found)
 
 
@@ -309,16 +312,15 @@ def _cut_short(segments: _Segments, goal: int, goal_radius: float) -> _Segments:
     """``segments``, with those that lead to ``goal`` cut off where they reach its disc of ``goal_radius``."""
     way = segments.end - segments.begin
     length = np.abs(way)
-    to_goal = segments.head == goal
-    cut = np.where(to_goal, goal_radius, 0.0)
+    cut = np.where(segments.head == goal, goal_radius, 0.0)
     ends = segments.end - cut * np.divide(way, length, out=np.zeros_like(way), where=length > 0.0)
     return segments._replace(end=ends).where(np.asarray(length >= cut))
 
 
 def _search(
-    discs: _Discs, segments: _Segments, arcs: tuple[np.ndarray, np.ndarray, np.ndarray], start: int
+    segments: _Segments, arcs: tuple[np.ndarray, np.ndarray, np.ndarray], start: int
 ) -> tuple[float, list[int]]:
-    """The shortest way from the point ``start`` to any later point of ``discs``.
+    """The shortest way from the point ``start`` to any point with a higher index.
 
     Node ``m`` is the beginning of segment ``m`` of ``M``, node ``M + m`` its end.
 

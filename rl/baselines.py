@@ -20,6 +20,7 @@ from navsim.world import World
 _SPEEDS = np.array([action.linear or np.nan for action in ACTIONS])  # m/s that each action commands
 _TURNS = np.array([np.nan if action.angular is None else action.angular for action in ACTIONS])  # rad/s
 _SLOW, _FAST = int(np.nanargmin(_SPEEDS)), int(np.nanargmax(_SPEEDS))
+_FAR = 1e3  # metres, where nothing is seen
 _LEFT, _RIGHT = int(np.nanargmax(_TURNS)), int(np.nanargmin(_TURNS))
 
 
@@ -110,13 +111,13 @@ class ReactivePolicy(_Driver):
     """Follows the gap in the newest depth image that costs least, in the manner of a vector field histogram.
 
     The image becomes a scan: the nearest thing in each column that is neither floor nor out of reach above. In each of
-    55 directions a corridor as wide as the robot is followed until it meets the scan. A direction costs the angle to the
-    goal, the angle to straight ahead and to the direction chosen last, so that it does not waver, and it costs more the
+    55 directions a corridor as wide as the robot is followed until it meets the scan. A direction costs its angles to
+    the goal, to straight ahead and to the direction chosen last, so that it does not waver, and it costs more the
     sooner its corridor ends. (Borenstein and Koren 1991, Ulrich and Borenstein 1998, without their map of what was
     seen before: like the networks, it forgets. Unlike them it sees one image only.) The robot cannot stop: when
     something comes near the depth that counts as a collision, it turns away from it as hard as it can.
 
-    Its constants were tuned in ``complex_train`` and in rooms with its obstacles shuffled, never in a room to evaluate in.
+    Its constants were tuned in ``complex_train`` and in rooms with its obstacles shuffled, never in evaluation rooms.
 
     Args:
         camera: whose images they are; by default the Kinect, at whatever size the images have.
@@ -132,12 +133,18 @@ class ReactivePolicy(_Driver):
     """Corridors that stay free this far are as good as endless, metres."""
     _NEEDED = 0.6
     """A direction whose corridor ends sooner is for emergencies, metres."""
-    _FAST = 0.6
+    _FAST = 0.3
     """Free way ahead at which the robot goes fast, metres."""
-    _NEAR = 0.5
+    _NEAR = 0.55
     """Planar depth at which it turns away from whatever is there, metres."""
-    _WEIGHTS = {"ahead": 0.4, "last": 0.6, "blocked": 5.0, "emergency": 5.0}
-    """Of the terms of a direction's cost, beside 1 for the angle to the goal, per radian or at most."""
+    _AHEAD_WEIGHT = 0.4
+    """Cost of the angle to straight ahead; that of the angle to the goal is 1."""
+    _LAST_WEIGHT = 0.6
+    """Cost of the angle to the direction chosen last."""
+    _BLOCKED_WEIGHT = 5.0
+    """Cost, in radians, of a corridor that ends at once; it falls to 0 over ``_FREE``."""
+    _EMERGENCY_WEIGHT = 9.0
+    """Cost, in radians, of a corridor shorter than ``_NEEDED``."""
     _GAIN = 0.8
     """Turn rate for each radian to the chosen direction, 1/s."""
     _SHARP = 1.2
@@ -181,13 +188,13 @@ class ReactivePolicy(_Driver):
 
     def _free_distances(self, scan: np.ndarray, camera: DepthCamera, commands: np.ndarray) -> np.ndarray:
         """``(N, D)`` metres that a corridor in each direction is free, from the robot's rim."""
-        points = np.where((scan < camera.max_range)[..., None], scan_points(scan, camera), np.inf).astype(np.float32)
+        points = np.where((scan < camera.max_range)[..., None], scan_points(scan, camera), _FAR).astype(np.float32)
         points[..., 0] -= (self._LOOK_AHEAD * commands[:, 0])[:, None]
         forward = np.stack([np.cos(self._DIRECTIONS), np.sin(self._DIRECTIONS)]).astype(np.float32)
         leftward = np.stack([-forward[1], forward[0]])
         along, across = points @ forward, points @ leftward  # (N, W, D)
         met = (along > 0.0) & (np.abs(across) < self._HALF_WIDTH)
-        return np.where(met, along, np.inf).min(axis=1) - self._HALF_WIDTH
+        return np.where(met, along, _FAR).min(axis=1) - self._HALF_WIDTH
 
     def _choose(self, free: np.ndarray, headings: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The directions that cost least, ``(N,)`` radians, and the free distances there, ``(N,)`` metres."""
@@ -195,13 +202,12 @@ class ReactivePolicy(_Driver):
         def angles_to(others: np.ndarray) -> np.ndarray:
             return np.abs(wrap_angle(self._DIRECTIONS - others[:, None]))
 
-        weights = self._WEIGHTS
         costs = (
             angles_to(headings)
-            + weights["last"] * angles_to(last)
-            + weights["ahead"] * np.abs(self._DIRECTIONS)
-            + weights["blocked"] * (1.0 - np.clip(free / self._FREE, 0.0, 1.0))
-            + weights["emergency"] * (free < self._NEEDED)
+            + self._LAST_WEIGHT * angles_to(last)
+            + self._AHEAD_WEIGHT * np.abs(self._DIRECTIONS)
+            + self._BLOCKED_WEIGHT * (1.0 - np.clip(free / self._FREE, 0.0, 1.0))
+            + self._EMERGENCY_WEIGHT * (free < self._NEEDED)
         )
         best = costs.argmin(axis=1)
         return self._DIRECTIONS[best], np.take_along_axis(free, best[:, None], axis=1)[:, 0]

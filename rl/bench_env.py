@@ -60,9 +60,7 @@ def run(console: Console, *, world: str = "complex_train", steps: int = 4_096) -
     batches = iter(collector)
     collect = lambda count: [next(batches) for _ in range(0, count, BATCH)]  # noqa: E731
     collect(_WARM_UP)
-    rounds = track(
-        range(_ROUNDS), "collecting", console=console, transient=True, disable=not console.is_terminal
-    )
+    rounds = track(range(_ROUNDS), "collecting", console=console, transient=True, disable=not console.is_terminal)
     rates = [steps / _seconds(lambda: collect(steps)) for _ in rounds]
     with _stopwatch() as spent:
         total = _seconds(lambda: collect(steps))

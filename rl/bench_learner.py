@@ -27,7 +27,8 @@ from rl.learner import Learner
 from rl.run import processor
 
 BATCH_SIZES = (8, 64)
-FORMATS: tuple[Literal["float32", "bfloat16"], ...] = ("float32", "bfloat16")
+NumberFormat = Literal["float32", "bfloat16"]
+FORMATS: tuple[NumberFormat, ...] = ("float32", "bfloat16")
 _ROUNDS = 7
 _SECONDS_A_ROUND = 0.4
 _MATRIX = 1024
@@ -59,15 +60,21 @@ def run(console: Console, *, num_threads: int = 1, seconds: float = _SECONDS_A_R
     """
     torch.set_num_threads(num_threads)
     settings = [(size, number_format) for size in BATCH_SIZES for number_format in FORMATS]
-    peaks = {number_format: _matmul_rate(number_format) for number_format in FORMATS}
+    peaks: dict[NumberFormat, float] = {
+        number_format: _matmul_rate(number_format, seconds) for number_format in FORMATS
+    }
     measured = []
-    for size, number_format in track(settings, "learning", console=console, transient=True, disable=not console.is_terminal):
+    for size, number_format in track(
+        settings, "learning", console=console, transient=True, disable=not console.is_terminal
+    ):
         measured.append(_compare(size, number_format, peaks[number_format], seconds))
     console.print(_table(measured, peaks, num_threads))
     return measured
 
 
-def _compare(batch_size: int, number_format: Literal["float32", "bfloat16"], peak: float, seconds: float) -> Measurement:
+def _compare(
+    batch_size: int, number_format: Literal["float32", "bfloat16"], peak: float, seconds: float
+) -> Measurement:
     config = dataclasses.replace(PRESETS["fast"], autocast=number_format)
     sample = random_sample(batch_size, config.camera)
     learner, peer = Learner(config), PeerLearner(config)
@@ -76,7 +83,7 @@ def _compare(batch_size: int, number_format: Literal["float32", "bfloat16"], pea
         lambda: peer.update(sample.copy()),
     ]
     for update in contestants:
-        _rate(update, 0.2)
+        _rate(update, seconds)
     rates = [[_rate(update, seconds) for update in contestants] for _ in range(_ROUNDS)]
     ours, theirs = (statistics.median(column) for column in zip(*rates, strict=True))
     return Measurement(batch_size, number_format, ours, theirs, peak / peer.operations(sample))
@@ -185,14 +192,13 @@ def _rate(function: Callable[[], object], seconds: float) -> float:
     return calls / passed
 
 
-def _matmul_rate(number_format: str) -> float:
+def _matmul_rate(number_format: NumberFormat, seconds: float) -> float:
     """Floating point operations a second in products of large square matrices."""
     a, b = torch.randn(2, _MATRIX, _MATRIX, dtype=getattr(torch, number_format)).unbind()
-    _rate(lambda: a @ b, 0.1)
-    return 2.0 * _MATRIX**3 * max(_rate(lambda: a @ b, 0.2) for _ in range(3))
+    return 2.0 * _MATRIX**3 * max(_rate(lambda: a @ b, seconds / 2) for _ in range(4))
 
 
-def _table(measured: list[Measurement], peaks: dict[str, float], num_threads: int) -> Table:
+def _table(measured: list[Measurement], peaks: dict[NumberFormat, float], num_threads: int) -> Table:
     threads = "one thread" if num_threads == 1 else f"{num_threads} threads"
     rates = ", ".join(f"{rate / 1e9:,.0f} GFLOP/s in {number_format}" for number_format, rate in peaks.items())
     table = Table(

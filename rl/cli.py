@@ -6,6 +6,7 @@ here, because tyro reads those of ``_training_settings``, some of which are loca
 
 import argparse
 import dataclasses
+import os
 import shlex
 import sys
 import traceback
@@ -43,6 +44,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         Ctrl-C. Mistakes of this library leave as exceptions.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
+    os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL would tell of every buffer that it allocates
     try:
         _dispatch(arguments)
     except SystemExit as end:  # tyro has printed help, or what is wrong with the arguments
@@ -172,16 +174,16 @@ _navsim.command(_world, name="world", help="Check world files, or draw one.")
 
 
 @_world.command
-def check(files: Positional[tuple[str, ...]]) -> None:
+def check(files: Positional[tuple[str, ...]] = ()) -> None:
     """Say whether world files keep the rules, and everything that is wrong with those that do not.
 
     Args:
-        files: World files, or names of shipped worlds.
+        files: World files, or names of shipped worlds; all of the latter if there is none.
     """
-    from navsim import WorldError, load_world
+    from navsim import WorldError, load_world, shipped_worlds
 
     problems: list[str] = []
-    for file in files:
+    for file in files or shipped_worlds():
         try:
             print(f"{file}: {load_world(file)}")
         except WorldError as error:

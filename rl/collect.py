@@ -71,4 +71,5 @@ def make_collector(env: NavEnv, policy: TensorDictModuleBase, config: TrainConfi
         total_frames=total_steps,
         track_traj_ids=False,
         use_buffers=False,
+        auto_register_policy_transforms=False,
     )

@@ -105,12 +105,17 @@ def choose_examples(evaluation: Evaluation, count: int = 4) -> list[PathResult]:
     by_length = sorted(evaluation.paths, key=lambda path: path.path_length, reverse=True)
     failures = [next((path for path in by_length if path.outcome == outcome), None) for outcome in OUTCOMES[1:]]
     chosen = [path for path in failures if path is not None][: count - 1]
+    # Successes from different starts, as far as there are: drives out of the same corner look alike.
     successes = [path for path in by_length if path.outcome == "success"]
-    # From different starts as far as there are any: four drives out of the same corner look alike.
-    starts: set[int] = set()
-    varied = [path for path in successes if not (path.start_index in starts or starts.add(path.start_index))]
-    rest = [path for path in by_length if path not in varied and path not in chosen]
-    return [*varied[: count - len(chosen)], *chosen, *rest][:count]
+    firsts = [path for rank, path in enumerate(successes) if path.start_index not in _starts(successes[:rank])]
+    others = [path for path in successes if path not in firsts] + [path for path in by_length if path not in chosen]
+    wanted = list(dict.fromkeys([*firsts, *others]))
+    chosen = wanted[: count - len(chosen)] + chosen
+    return list(dict.fromkeys(chosen))
+
+
+def _starts(paths: Sequence[PathResult]) -> set[int]:
+    return {path.start_index for path in paths}
 
 
 def example_paths(world: World, paths: Sequence[PathResult], task: Task) -> Figure:
@@ -188,7 +193,7 @@ def _title(axes: Axes, text: str, pad: float = 6.0) -> None:
 
 
 def _quieten(axes: Axes) -> None:
-    axes.tick_params(labelsize=8, color=QUIET_INK, labelcolor=QUIET_INK)
+    axes.tick_params(which="both", labelsize=8, color=QUIET_INK, labelcolor=QUIET_INK)
     axes.grid(axis="y", color="#e4e7eb", lw=0.7)
     axes.set_axisbelow(True)
     for side in ("top", "right"):

@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from rich.console import Console
+from torchrl.modules import QValueActor
 
 from navsim.worldfile import load_world
-from rl.baselines import BASELINES, make_baseline
+from rl.baselines import BASELINES, Baseline, make_baseline
 from rl.evaluate import comparison_table, evaluate
 from rl.policies import load_policy
 from rl.report import write_report
@@ -30,7 +31,8 @@ def finish(run: Run, console: Console) -> Path:
     """
     config = run.config
     world = load_world(config.eval_world)
-    policies = {f"D3QN-{config.model}": load_policy(run.directory)} | {name: make_baseline(name) for name in BASELINES}
+    policies: dict[str, QValueActor | Baseline] = {f"D3QN-{config.model}": load_policy(run.directory)}
+    policies |= {name: make_baseline(name, config.camera) for name in BASELINES}
     evaluations = []
     for name, policy in policies.items():
         result = evaluate(

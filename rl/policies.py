@@ -1,14 +1,37 @@
-"""The trained policy of a run."""
+"""Policies by name: what a run has learnt, and the baselines."""
 
 from __future__ import annotations
 
+import difflib
 import os
+from pathlib import Path
 
 import torch
 from torchrl.modules import QValueActor
 
+from rl.baselines import BASELINES, Baseline, make_baseline
+from rl.config import TrainConfig
 from rl.networks import make_q_actor
 from rl.run import Run, RunError
+
+
+def find_policy(name: str) -> tuple[QValueActor | Baseline, TrainConfig]:
+    """A policy, and the settings whose camera, task and robot it is for.
+
+    Args:
+        name: a run's directory, or one of ``rl.baselines.BASELINES``.
+
+    Raises:
+        RunError: if it is neither, or a run that cannot be used.
+    """
+    if name in BASELINES:
+        config = TrainConfig()
+        return make_baseline(name, config.camera), config
+    if not Run(name).exists:
+        meant = difflib.get_close_matches(name, BASELINES, n=1)
+        remedy = f'did you mean "{meant[0]}"?' if meant else f"name one, or a baseline: {', '.join(BASELINES)}"
+        raise RunError(f"{name} is not a run's directory; {remedy}")
+    return load_policy(name), Run(name).config
 
 
 def load_policy(run_directory: str | os.PathLike[str]) -> QValueActor:
@@ -24,7 +47,7 @@ def load_policy(run_directory: str | os.PathLike[str]) -> QValueActor:
     Raises:
         RunError: for a directory without a run, and for files that are missing, damaged or do not fit together.
     """
-    run = Run.open(run_directory)
+    run = Run.open(Path(run_directory))
     config = run.config
     actor = make_q_actor(config.model, config.camera.height, config.camera.width)
     weights = run.load_policy("policy")

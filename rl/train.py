@@ -19,7 +19,7 @@ from rl.evaluate import Evaluation, evaluate
 from rl.learner import Learner
 from rl.progress import Clock, TrainingProgress, progress_bar
 from rl.replay import make_replay
-from rl.run import Run
+from rl.run import Run, RunError
 
 _PROBE_STATES = 256
 """Fixed states whose mean greatest Q-value is logged, as in figure 6.3 of the thesis."""
@@ -71,10 +71,11 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
         progress=progress,
         logs=logs,
         generators=GlobalRNGState(),
+        format="archive",  # its checksums tell damage, which would else go unnoticed
     )
     rotation = CheckpointRotation(run.directory / "checkpoints", keep_last=1)
-    if resume and rotation.latest() is not None:
-        rotation.load_latest(checkpoint)
+    if resume:
+        _restore(checkpoint, rotation)
         env.set_seed(config.seed + progress.step)  # not once more the episodes that were played before
         logs.truncate_after(progress.step)
     clock = Clock(progress.seconds, progress.step)
@@ -113,11 +114,26 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
             if eval_due(progress.step):
                 bar.update(shown, status="evaluating")
                 logs.evaluation(_evaluate(learner, eval_world, config), learner, progress)
+                bar.update(shown, status=status)
             if checkpoint_due(progress.step):
                 run.save_policy("policy_last", learner.actor.state_dict())
                 rotation.save(checkpoint, step=progress.step)
     collector.shutdown()
     return run
+
+
+def _restore(checkpoint: Checkpoint, rotation: CheckpointRotation) -> None:
+    """Goes back to the last checkpoint; without one, nothing changes."""
+    files = sorted(rotation.directory.glob("checkpoint-*"))
+    if not files:
+        return
+    try:
+        checkpoint.load(files[-1])
+    except Exception as error:  # a damaged file raises as many types as there are formats in it
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise RunError(
+            f"{files[-1]} is damaged ({reason}); restore it, or delete it to train from the beginning"
+        ) from error
 
 
 class _Every:

@@ -19,7 +19,7 @@ def test_thesis_preset_holds_the_numbers_of_section_5_3():
     assert (thesis.learning_rate, thesis.learning_rate_decay, thesis.loss_function) == (1e-4, "none", "l2")
     assert (thesis.target_update, thesis.tau, thesis.steps_per_update) == ("soft", 0.001, 1.0)
     assert thesis.total_steps == 400_000
-    assert not (thesis.mirror or thesis.prioritized or thesis.random_paths)
+    assert (thesis.mirror, thesis.prioritized, thesis.random_paths) == (False, False, False)
 
 
 @pytest.mark.parametrize("name", PRESETS)

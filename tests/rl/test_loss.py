@@ -1,4 +1,4 @@
-"""D3QNLoss beside TorchRL's DQNLoss and beside the target equation written out by hand."""
+"""D3QNLoss beside TorchRL's DQNLoss, and beside the target equation written out by hand."""
 
 from __future__ import annotations
 
@@ -18,36 +18,247 @@ from rl.networks import make_q_actor
 HEIGHT, WIDTH = 20, 30
 
 
-def transitions(count: int, *, height: int = HEIGHT, width: int = WIDTH, ends: bool = True) -> TensorDict:
+def transitions(count: int) -> TensorDict:
     def observation() -> dict[str, torch.Tensor]:
         return {
-            "depth": torch.randint(0, 256, (count, 4, height, width), dtype=torch.uint8),
+            "depth": torch.randint(0, 256, (count, 4, HEIGHT, WIDTH), dtype=torch.uint8),
             "heading": (torch.rand(count, 1) * 2 - 1) * math.pi,
         }
 
-    terminated = torch.rand(count, 1) < (0.3 if ends else 0.0)
+    terminated, truncated = torch.rand(2, count, 1) < 0.3
     after = {
         **observation(),
         "reward": torch.randn(count, 1),
-        "done": terminated | (torch.rand(count, 1) < (0.3 if ends else 0.0)),
+        "done": terminated | truncated,
         "terminated": terminated,
     }
     return TensorDict({**observation(), "action": torch.randint(0, 7, (count,)), "next": after}, [count])
 
 
 def make_losses(model: str = "I", **settings) -> tuple[D3QNLoss, DQNLoss]:
-    """Ours and TorchRL's on the same networks, of which the target's differs from the online one."""
+    """Ours and TorchRL's around the same online network, and around equal target networks that differ from it."""
+    torch.manual_seed(1)
     actor = make_q_actor(model, HEIGHT, WIDTH)
     ours = D3QNLoss(actor, gamma=0.9, **settings)
     torchrl = DQNLoss(actor, action_space="categorical", **{"double_dqn": True, **settings})
     torchrl.make_value_estimator(ValueEstimators.TD0, gamma=0.9)
-    if settings.get("delay_value", True):
-        for target, other in zip(
-            ours.target_value_network_params.values(True, True),
-            torchrl.target_value_network_params.values(True, True),
-            strict=True,
-        ):
-            target.data.add_(0.05 * torch.randn_like(target))
-            other.data.copy_(target.data)
-        SoftUpdate(ours, tau=0.5).init_  # associates an updater, so that TorchRL does not warn of its absence
+    if ours.delay_value:
+        for loss in (ours, torchrl):
+            SoftUpdate(loss, tau=0.5)
+            torch.manual_seed(2)
+            for name, target in loss.target_value_network_params.items(True, True):
+                if name[-1] in ("weight", "bias"):
+                    target.data.add_(0.05 * torch.randn_like(target))
     return ours, torchrl
+
+
+def gradients(loss: D3QNLoss | DQNLoss, value: torch.Tensor) -> list[torch.Tensor]:
+    return list(torch.autograd.grad(value, [parameter for parameter in loss.parameters() if parameter.requires_grad]))
+
+
+@pytest.mark.parametrize(
+    ("model", "settings", "extras"),
+    [
+        ("I", {}, ()),
+        ("S", {"loss_function": "smooth_l1"}, ("steps_to_next_obs",)),
+        ("I", {"double_dqn": False}, ("steps_to_next_obs", "priority_weight")),
+        ("I", {"double_dqn": False, "delay_value": False}, ()),
+        ("S", {"reduction": "none"}, ("priority_weight",)),
+    ],
+)
+def test_loss_priorities_and_gradients_are_those_of_torchrl(model, settings, extras):
+    ours, torchrl = make_losses(model, **settings)
+    data = transitions(12)
+    if "steps_to_next_obs" in extras:
+        data["steps_to_next_obs"] = torch.randint(1, 4, (12,))
+    if "priority_weight" in extras:
+        data["priority_weight"] = torch.rand(12)
+    reference = data.clone()
+
+    loss, expected = ours(data)["loss"], torchrl(reference)["loss"]
+
+    torch.testing.assert_close(loss, expected, rtol=1e-4, atol=1e-6)
+    torch.testing.assert_close(data["td_error"], reference["td_error"], rtol=1e-4, atol=1e-5)
+    pairs = zip(gradients(ours, loss.sum()), gradients(torchrl, expected.sum()), strict=True)
+    for gradient, other in pairs:
+        torch.testing.assert_close(gradient, other, rtol=1e-3, atol=1e-5 * float(other.abs().max()))
+
+
+def test_target_is_the_equation_of_double_q_learning():
+    ours, _ = make_losses("I", reduction="none")
+    data = transitions(16)
+    data["steps_to_next_obs"] = torch.randint(1, 4, (16,))
+    online = make_q_actor("I", HEIGHT, WIDTH).module[0].module
+    target = make_q_actor("I", HEIGHT, WIDTH).module[0].module
+    for network, parameters in (
+        (online, ours.value_network_params),
+        (target, ours.target_value_network_params),
+    ):
+        network.load_state_dict(
+            {name: parameters["module", "0", "module"][tuple(name.split("."))] for name in network.state_dict()}
+        )
+
+    loss = ours(data)["loss"].tolist()
+
+    for i, step in enumerate(data.unbind(0)):
+        after = step["next"]
+        with torch.no_grad():
+            best = online(after["depth"], after["heading"]).argmax()
+            bootstrap = 0.0 if after["terminated"] else float(target(after["depth"], after["heading"])[best])
+            chosen = float(online(step["depth"], step["heading"])[step["action"]])
+        wanted = float(after["reward"]) + 0.9 ** int(step["steps_to_next_obs"]) * bootstrap
+        assert loss[i] == pytest.approx((wanted - chosen) ** 2, rel=1e-3, abs=1e-5)
+        assert float(data["td_error"][i]) == pytest.approx((wanted - chosen) ** 2, rel=1e-3, abs=1e-5)
+        assert float(data["chosen_action_value"][i]) == pytest.approx(chosen, rel=1e-4, abs=1e-5)
+
+
+def test_time_limit_bootstraps_and_an_end_does_not():
+    ours, _ = make_losses("S", reduction="none")
+    data = transitions(2)[:1].expand(3).clone()
+    data["next", "terminated"] = torch.tensor([[False], [False], [True]])
+    data["next", "done"] = torch.tensor([[False], [True], [True]])
+    running, truncated, terminated = ours(data)["loss"]
+    torch.testing.assert_close(truncated, running)
+    assert not torch.isclose(terminated, running)
+    chosen, reward = data["chosen_action_value"][2], data["next", "reward"][2]
+    torch.testing.assert_close(terminated, (chosen - reward).square().squeeze())
+
+
+def test_soft_update_moves_the_target_by_tau():
+    loss = D3QNLoss(make_q_actor("I", HEIGHT, WIDTH))
+    updater = SoftUpdate(loss, tau=0.25)
+    weight = loss.value_network_params["module", "0", "module", "value", "weight"]
+    target = loss.target_value_network_params["module", "0", "module", "value", "weight"]
+    before = target.clone()
+    weight.data.add_(1.0)
+    updater.step()
+    torch.testing.assert_close(target, before + 0.25)
+    updater.step()
+    torch.testing.assert_close(target, before + 1.0 - 0.75**2)
+
+
+def test_hard_update_copies_the_online_network():
+    loss = D3QNLoss(make_q_actor("I", HEIGHT, WIDTH))
+    updater = HardUpdate(loss, value_network_update_interval=3)
+    weight = loss.value_network_params["module", "0", "module", "value", "weight"]
+    target = loss.target_value_network_params["module", "0", "module", "value", "weight"]
+    before = target.clone()
+    weight.data.add_(1.0)
+    copied = []
+    for _ in range(4):
+        updater.step()
+        copied.append(torch.equal(target, weight))
+        assert copied[-1] or torch.equal(target, before)
+    assert copied[0] is False
+    assert copied[-1] is True
+
+
+def test_optimiser_on_the_loss_improves_the_actor():
+    torch.manual_seed(0)
+    actor = make_q_actor("I", HEIGHT, WIDTH)
+    loss = D3QNLoss(actor)
+    SoftUpdate(loss, tau=0.001)
+    optimiser = torch.optim.Adam(loss.parameters(), lr=1e-3, fused=True)
+    data = transitions(16)
+    data["next", "terminated"] = torch.ones(16, 1, dtype=torch.bool)  # the rewards are fixed targets
+    first = None
+    for _ in range(60):
+        value = loss(data)["loss"]
+        first = first or value.item()
+        value.backward()
+        optimiser.step()
+        optimiser.zero_grad()
+    assert loss(data)["loss"].item() < 0.05 * first
+    chosen = actor(data.select("depth", "heading"))["action_value"].gather(1, data["action"].unsqueeze(1))
+    assert (chosen - data["next", "reward"]).abs().mean() < 0.2
+
+
+@pytest.mark.parametrize("model", ["I", "S"])
+def test_action_values_of_a_toy_problem_are_learnt(model):
+    """Dark room: action 3 opens the door to the bright room, others stay. Bright room: ahead (2, 3, 4) is the goal."""
+    torch.manual_seed(0)
+    gamma = 0.5
+    loss = D3QNLoss(make_q_actor(model, HEIGHT, WIDTH), gamma=gamma)
+    target_update = SoftUpdate(loss, tau=0.05)
+    optimiser = torch.optim.Adam(loss.parameters(), lr=1e-3, fused=True)
+
+    rooms = torch.stack([torch.full((4, HEIGHT, WIDTH), shade, dtype=torch.uint8) for shade in (40, 220)])
+    room, action = torch.arange(14) // 7, torch.arange(14) % 7
+    goal = (room == 1) & (action >= 2) & (action <= 4)
+    next_room = torch.where((room == 0) & (action == 3), 1, room)
+    data = TensorDict(
+        {
+            "depth": rooms[room],
+            "heading": torch.zeros(14, 1),
+            "action": action,
+            "next": {
+                "depth": rooms[next_room],
+                "heading": torch.zeros(14, 1),
+                "reward": goal.float().unsqueeze(1),
+                "done": goal.unsqueeze(1),
+                "terminated": goal.unsqueeze(1),
+            },
+        },
+        [14],
+    )
+    for _ in range(250):
+        loss(data)["loss"].backward()
+        optimiser.step()
+        optimiser.zero_grad()
+        target_update.step()
+
+    dark = [gamma * gamma] * 7
+    dark[3] = gamma
+    bright = [gamma, gamma, 1.0, 1.0, 1.0, gamma, gamma]
+    learnt = loss.value_network.module[0].module(rooms, torch.zeros(2, 1))
+    torch.testing.assert_close(learnt, torch.tensor([dark, bright]), rtol=0, atol=0.05)
+
+
+def test_autocast_changes_the_numbers_little_and_keeps_their_format():
+    torch.manual_seed(0)
+    actor = make_q_actor("I", HEIGHT, WIDTH)
+    data = transitions(16)
+    losses = []
+    for autocast in (None, torch.bfloat16):
+        loss = D3QNLoss(actor, autocast=autocast)
+        SoftUpdate(loss, tau=0.001)
+        losses.append(loss(data)["loss"])
+        assert losses[-1].dtype == data["td_error"].dtype == torch.float32
+        assert all(gradient.dtype == torch.float32 for gradient in gradients(loss, losses[-1]))
+    torch.testing.assert_close(losses[1], losses[0], rtol=0.05, atol=0.0)
+    assert losses[1] != losses[0]
+
+
+def test_tensors_may_be_passed_by_name():
+    ours, _ = make_losses("S")
+    data = transitions(4)
+    flat = {key if isinstance(key, str) else "_".join(key): value for key, value in data.items(True, True)}
+    torch.testing.assert_close(ours(**flat), ours(data)["loss"])
+
+
+def test_state_dict_restores_online_and_target_network():
+    ours, _ = make_losses("I")
+    other = D3QNLoss(make_q_actor("I", HEIGHT, WIDTH), gamma=0.9)
+    SoftUpdate(other, tau=0.5)
+    other.load_state_dict(ours.state_dict())
+    data = transitions(8)
+    torch.testing.assert_close(other(data.clone())["loss"], ours(data)["loss"])
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_loss_on_a_gpu_is_that_on_the_cpu():
+    ours, _ = make_losses("I")
+    data = transitions(8)
+    expected = ours(data)["loss"]
+    torch.testing.assert_close(ours.to("cuda")(data.to("cuda"))["loss"].cpu(), expected, rtol=1e-3, atol=1e-4)
+
+
+def test_actors_that_are_not_q_networks_with_categorical_actions_are_refused():
+    with pytest.raises(ValueError, match=r"categorical action space.*got Linear"):
+        D3QNLoss(nn.Linear(3, 7))
+    with pytest.raises(ValueError, match="categorical action space"):
+        D3QNLoss(QValueActor(nn.Linear(3, 7), in_keys=["depth"], spec=OneHot(7)))
+
+
+def test_fastest_autocast_is_a_format_for_the_loss():
+    assert fastest_autocast() in (None, torch.bfloat16)

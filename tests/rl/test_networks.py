@@ -24,7 +24,7 @@ def observations(*batch: int, height: int, width: int) -> tuple[torch.Tensor, to
 
 
 def pad_as_tensorflow(images: torch.Tensor, kernel: tuple[int, int], stride: int) -> torch.Tensor:
-    """"SAME" as the TensorFlow guide defines it, with its two cases."""
+    """ "SAME" as the TensorFlow guide defines it, with its two cases."""
     border = []
     for size, length in zip(images.shape[-2:], kernel, strict=True):
         rest = size % stride

@@ -1,0 +1,273 @@
+"""The report of a run: one HTML file that holds everything, pictures and animation included."""
+
+from __future__ import annotations
+
+import base64
+import importlib.resources
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+from tensordict import TensorDict
+from torchrl.modules import QValueActor
+
+from navsim.animation import animate_episode
+from navsim.draw import draw_depth_stack, figure_png, new_figure
+from navsim.raycast import render_depth
+from navsim.scan import obstacle_depth
+from navsim.task import heading
+from navsim.world import World
+from navsim.worldfile import load_world
+from rl.baselines import BASELINES
+from rl.config import TrainConfig
+from rl.env import NUM_FRAMES
+from rl.evaluate import OUTCOMES, Evaluation, PathResult
+from rl.figures import (
+    action_distribution,
+    all_paths,
+    choose_examples,
+    describe,
+    example_paths,
+    training_curves,
+)
+from rl.policies import load_policy
+from rl.run import Run, RunError, atomic_write
+
+
+def write_report(run: Run) -> Path:
+    """Writes ``report.html`` and ``episode.mp4`` from a run's logs, weights and final evaluations.
+
+    Args:
+        run: a run whose ``evaluation/`` holds the evaluation of its policy, and perhaps those of the baselines.
+
+    Returns:
+        the report's path.
+
+    Raises:
+        RunError: for a run that lacks files.
+        navsim.WorldError: for a world file that cannot be used.
+    """
+    config = run.config
+    evaluations = _evaluations(run)
+    world = load_world(config.eval_world)
+    page = _template().render(_contents(run, config, world, evaluations))
+    path = run.directory / "report.html"
+    with atomic_write(path) as file:
+        file.write(page)
+    return path
+
+
+def _template() -> jinja2.Template:
+    source = importlib.resources.files("rl").joinpath("report.html.jinja").read_text(encoding="utf-8")
+    return jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(source)
+
+
+def _evaluations(run: Run) -> list[Evaluation]:
+    """The final evaluations: that of the run's policy first, then the baselines in their usual order."""
+    files = sorted((run.directory / "evaluation").glob("*.json"))
+    evaluations = {file.stem: Evaluation.load(file) for file in files}
+    own = [name for name in evaluations if name not in BASELINES]
+    if not own:
+        raise RunError(f"{run.directory} holds no evaluation of its policy: the run has not been finished")
+    return [evaluations[name] for name in (*own, *BASELINES) if name in evaluations]
+
+
+def _contents(run: Run, config: TrainConfig, world: World, evaluations: Sequence[Evaluation]) -> dict[str, Any]:
+    policy = evaluations[0]
+    metrics, logged = run.metrics.rows(), run.evaluations.rows()
+    low, high = (round(100 * bound) for bound in policy.interval("success"))
+    unseen = config.eval_world not in config.world
+    trained_in = ", ".join(Path(name).stem for name in config.world)
+    return {
+        "title": f"{run.directory.name}: {policy.success_rate:.0%} of {world.name}",
+        "run_name": run.directory.name,
+        "headline": f"{policy.policy} reaches {policy.count('success')} of {len(policy.paths)} goals in {world.name}"
+        + (", a room that it has never seen" if unseen else ""),
+        "unseen": unseen,
+        "planned": any(evaluation.policy == "oracle" for evaluation in evaluations),
+        "summary": f"Trained in {trained_in} with preset {config.preset}.",
+        "facts": [
+            (f"{policy.success_rate:.0%}", f"success ({low}–{high}%)"),
+            (f"{policy.spl:.2f}", "SPL"),
+            *_training_facts(metrics),
+        ],
+        "rows": [_row(evaluation) for evaluation in evaluations],
+        "paths": len(policy.paths),
+        "world": world.name,
+        "control_period": f"{config.task.control_period:g}",
+        "animation": _animation(run, config, world, policy),
+        "figures": list(_figures(run, config, world, evaluations, metrics, logged)),
+        "seed": config.seed,
+        "settings": list(_flat(config.to_dict())),
+        "versions": list(_flat(_versions(run))),
+    }
+
+
+def _training_facts(metrics: Sequence[Mapping[str, str]]) -> list[tuple[str, str]]:
+    if not metrics:
+        return []
+    last = metrics[-1]
+    steps, seconds = int(last["step"]), float(last["seconds"])
+    return [
+        (f"{steps:,}", f"environment steps, {int(last['episodes']):,} episodes"),
+        (f"{seconds / 60:.1f} min", f"training, {steps / max(seconds, 1e-9):,.0f} steps/s"),
+    ]
+
+
+def _versions(run: Run) -> dict[str, Any]:
+    path = run.directory / "versions.json"
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise RunError(f"{path} cannot be read: {error}") from error
+
+
+def _row(evaluation: Evaluation) -> dict[str, Any]:
+    rates = []
+    for outcome in OUTCOMES:
+        low, high = evaluation.interval(outcome)
+        rates.append(
+            {
+                "outcome": outcome,
+                "percent": round(100 * evaluation.rate(outcome)),
+                "low": round(100 * low),
+                "high": round(100 * high),
+            }
+        )
+    return {
+        "policy": evaluation.policy,
+        "rates": rates,
+        "spl": f"{evaluation.spl:.2f}",
+        "steps": f"{evaluation.mean_steps:.0f}",
+        "reward": f"{evaluation.mean_reward:+.2f}",
+    }
+
+
+def _animation(run: Run, config: TrainConfig, world: World, policy: Evaluation) -> dict[str, str]:
+    """The success that took the longest way: an episode in which something happens."""
+    shown = max(policy.paths, key=lambda path: (path.outcome == "success", path.shortest_path_length, path.steps))
+    video = animate_episode(
+        run.directory / "episode.mp4",
+        world,
+        shown.trajectory,
+        shown.goal,
+        actions=shown.actions,
+        outcome=shown.outcome,
+        camera=config.camera,
+        task=config.task,
+        robot=config.robot,
+    )
+    return {
+        "source": _embedded(video.read_bytes(), "video/mp4"),
+        "caption": f"{policy.policy} from {describe(shown)}: {shown.outcome} after {shown.steps} steps.",
+    }
+
+
+def _figures(
+    run: Run,
+    config: TrainConfig,
+    world: World,
+    evaluations: Sequence[Evaluation],
+    metrics: Sequence[Mapping[str, str]],
+    logged: Sequence[Mapping[str, str]],
+) -> Iterator[dict[str, Any]]:
+    policy = evaluations[0]
+    examples = choose_examples(policy)
+    if metrics:
+        yield _block(
+            "Training",
+            (
+                training_curves(metrics, logged),
+                f"Lines: while training, with exploration. Points: evaluations in {world.name}, greedy.",
+            ),
+        )
+    yield _block(
+        "All paths",
+        (all_paths(world, policy), f"Every path of {policy.policy} in {world.name}, by how it ended."),
+        narrow=True,
+    )
+    yield _block(
+        "Some of them",
+        (
+            example_paths(world, examples, config.task),
+            "The longest successes from different starts, and a failure of each kind if there is any.",
+        ),
+        narrow=True,
+    )
+    yield _block(
+        "Actions",
+        (
+            action_distribution(evaluations),
+            "Share of each action over all steps. An action sets the speed or the turn; the other stays as it was.",
+        ),
+    )
+    actor = load_policy(run.directory)
+    moments = _telling_moments(world, examples[0], config)
+    yield _block(
+        "What the network sees and thinks",
+        *(
+            (
+                _depth_stack(actor, config, world, examples[0], step),
+                f"{when}, {step * config.task.control_period:.1f} s into the drive from {describe(examples[0])}: the "
+                "four depth images, the goal's direction and the seven Q-values; the greatest is what it does.",
+            )
+            for when, step in moments
+        ),
+    )
+
+
+def _block(heading: str, *figures: tuple[Figure, str], narrow: bool = False) -> dict[str, Any]:
+    return {
+        "heading": heading,
+        "figures": [
+            {"source": _embedded(figure_png(figure), "image/png"), "caption": caption, "narrow": narrow}
+            for figure, caption in figures
+        ],
+    }
+
+
+def _embedded(content: bytes, kind: str) -> str:
+    return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
+
+
+def _telling_moments(world: World, path: PathResult, config: TrainConfig) -> list[tuple[str, int]]:
+    """The steps of a drive where the way ahead was freest and where it was most obstructed."""
+    last = max(0, path.steps - 1)
+    first = min(NUM_FRAMES - 1, last)
+    poses = path.trajectory[first : last + 1]
+    images = config.camera.from_planar(render_depth(world, poses, config.camera))
+    middle = slice(config.camera.width // 3, -(config.camera.width // 3) or None)
+    view = obstacle_depth(images, config.camera)[:, middle].mean(axis=1)
+    return [("Free way", first + int(view.argmax())), ("Something ahead", first + int(view.argmin()))]
+
+
+def _depth_stack(actor: QValueActor, config: TrainConfig, world: World, path: PathResult, step: int) -> Figure:
+    poses = path.trajectory[np.maximum(np.arange(step - NUM_FRAMES + 1, step + 1), 0)]
+    camera = config.camera
+    stack = camera.to_uint8(camera.from_planar(render_depth(world, poses, camera)))
+    angle = float(heading(poses[-1], np.array(path.goal)))
+    observation = TensorDict(
+        {"depth": torch.from_numpy(stack)[None], "heading": torch.tensor([[angle]], dtype=torch.float32)},
+        batch_size=[1],
+    )
+    with torch.no_grad():
+        q_values = actor(observation)["action_value"][0].numpy()
+    figure = new_figure(10.0, 5.0)
+    draw_depth_stack(figure, stack, angle, q_values, camera, interval=config.task.control_period)
+    return figure
+
+
+def _flat(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Settings as rows of text, those of a part as ``part.name``."""
+    for name, value in settings.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}.")
+        elif isinstance(value, list | tuple):
+            yield f"{prefix}{name}", ", ".join(str(entry) for entry in value)
+        else:
+            yield f"{prefix}{name}", f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,294 @@
+"""The evaluation: metrics against independent formulas, and that every path is driven as it would be alone."""
+
+from __future__ import annotations
+
+import io
+import json
+
+import numpy as np
+import pytest
+import torch
+from rich.console import Console
+from scipy.stats import binomtest
+from tensordict.nn import TensorDictModule, TensorDictSequential
+from torchrl.data import Categorical
+from torchrl.modules import EGreedyModule
+
+from navsim.camera import DepthCamera
+from navsim.simulator import Simulator
+from navsim.task import Path, Task
+from navsim.world import World
+from rl.evaluate import Evaluation, PathResult, comparison_table, evaluate, wilson_interval
+
+CAMERA = DepthCamera(width=20, height=16)
+TASK = Task(max_steps=60)
+ROOM = World.from_dict(
+    {
+        "format": 1,
+        "name": "room",
+        "size": [6, 6],
+        "obstacles": [{"box": {"at": [1.0, 1.5], "size": [0.4, 0.4], "height": 0.8}}],
+        "starts": [{"at": [-2, 0], "yaw_deg": 0}, {"at": [-2, 1.5], "yaw_deg": 0}],
+        "goals": [[0.5, 0], [2.3, 1.5], [-2.2, -2.2]],
+    }
+)
+OPEN_YAWS = World.from_dict({"format": 1, "size": [6, 6], "starts": [[0, 0], [1, 1]], "goals": [[2, 2], [-2, 2]]})
+
+
+def ahead(state):
+    """Fast, always straight on."""
+    state["action"] = torch.ones(state.batch_size, dtype=torch.int64)
+    return state
+
+
+def circling(state):
+    state["action"] = torch.full(state.batch_size, 2)
+    return state
+
+
+def drive(policy, world=ROOM, **options) -> Evaluation:
+    return evaluate(policy, world, **{"camera": CAMERA, "task": TASK, **options})
+
+
+def result(outcome: str, driven: float, shortest: float, actions=(1,)) -> PathResult:
+    return PathResult(
+        start_index=0,
+        goal_index=0,
+        goal=(1.0, 0.0),
+        outcome=outcome,
+        reward=0.5,
+        shortest_path_length=shortest,
+        trajectory=np.array([[0.0, 0.0, 0.0], [driven, 0.0, 0.0]]),
+        actions=np.array(actions),
+    )
+
+
+@pytest.mark.parametrize(("successes", "trials"), [(0, 5), (1, 5), (5, 5), (37, 100), (99, 100), (333, 1000)])
+def test_wilsons_interval_is_scipys(successes, trials):
+    expected = binomtest(successes, trials).proportion_ci(0.95, method="wilson")
+    assert wilson_interval(successes, trials) == pytest.approx((expected.low, expected.high), abs=1e-12)
+
+
+@pytest.mark.parametrize(("successes", "trials"), [(0, 0), (3, 2), (-1, 4)])
+def test_a_proportion_that_is_none_is_refused(successes, trials):
+    with pytest.raises(ValueError, match=f"{successes} of {trials}"):
+        wilson_interval(successes, trials)
+
+
+def test_spl_of_cases_worked_out_by_hand():
+    assert result("success", driven=4.0, shortest=3.0).spl == pytest.approx(0.75)
+    assert result("success", driven=2.9, shortest=3.0).spl == 1.0  # never more than one
+    assert result("collision", driven=3.0, shortest=3.0).spl == 0.0
+    assert result("success", driven=0.04, shortest=0.0).spl == 1.0  # it began on the goal's disc
+    paths = (result("success", 4.0, 3.0), result("timeout", 9.0, 3.0), result("success", 3.0, 3.0))
+    assert Evaluation("p", "w", 0, paths).spl == pytest.approx((0.75 + 0.0 + 1.0) / 3)
+
+
+def test_aggregates_are_means_over_all_paths():
+    paths = (
+        result("success", 4.0, 3.0, actions=[1, 4, 4]),
+        result("collision", 1.0, 3.0, actions=[2]),
+        result("success", 4.0, 3.0, actions=[]),
+        result("timeout", 4.0, 3.0, actions=[4, 4, 4, 4]),
+    )
+    evaluation = Evaluation("p", "w", 0, paths)
+    assert (evaluation.success_rate, evaluation.collision_rate, evaluation.timeout_rate) == (0.5, 0.25, 0.25)
+    assert evaluation.mean_steps == 2.0
+    assert evaluation.mean_reward == 0.5
+    np.testing.assert_allclose(evaluation.action_distribution, [0, 1 / 8, 1 / 8, 0, 6 / 8, 0, 0])
+
+
+def test_every_path_is_driven_once_in_the_order_of_the_world():
+    evaluation = drive(ahead)
+    assert [(path.start_index, path.goal_index) for path in evaluation.paths] == list(ROOM.paths)
+    assert [path.goal for path in evaluation.paths] == [ROOM.goals[goal].at for _, goal in ROOM.paths]
+    assert [path.outcome for path in evaluation.paths] == ["success", *["collision"] * 5]
+    assert evaluation.world == "room"
+
+
+@pytest.mark.parametrize("policy", [ahead, circling])
+def test_a_path_is_driven_as_it_would_be_alone(policy):
+    for path in drive(policy).paths:
+        simulator = Simulator(ROOM, camera=CAMERA, task=TASK)
+        simulator.reset(paths=[Path(path.start_index, path.goal_index)])
+        poses, rewards = [simulator.poses[0].copy()], []
+        for step, action in enumerate(path.actions):
+            moved = simulator.step(np.array([action]))
+            poses.append(simulator.poses[0].copy())
+            rewards.append(moved.reward[0])
+            assert (moved.terminated[0] or moved.truncated[0]) == (step == path.steps - 1)
+        ended = {"success": moved.success[0], "collision": moved.collision[0], "timeout": moved.truncated[0]}
+        assert [outcome for outcome, happened in ended.items() if happened] == [path.outcome]
+        np.testing.assert_array_equal(path.trajectory, poses)
+        assert path.reward == pytest.approx(np.sum(rewards), abs=1e-5)
+
+
+def test_a_robot_that_never_arrives_times_out():
+    open_floor = World.from_dict(
+        {"format": 1, "size": [20, 20], "starts": [{"at": [0, 0], "yaw_deg": 0}], "goals": [[8, 8]]}
+    )
+    (path,) = drive(circling, open_floor).paths
+    assert (path.outcome, path.steps, len(path.trajectory)) == ("timeout", 60, 61)
+
+
+def test_lengths_of_a_straight_drive():
+    path = drive(ahead).paths[0]
+    assert path.shortest_path_length == pytest.approx(2.5 - 0.5, rel=0.01)
+    assert path.path_length == pytest.approx(path.trajectory[-1, 0] + 2.0, abs=1e-6)
+    assert path.spl == pytest.approx(path.shortest_path_length / path.path_length, abs=1e-9)
+
+
+def test_policies_see_the_last_four_images_and_what_begins():
+    seen = []
+
+    def look(state):
+        seen.append(state.select("depth", "heading", "pose", "is_init").clone())
+        return ahead(state)
+
+    drive(look, num_paths=1)
+    first, second, *_, fifth = seen[:5]
+    assert first["depth"].shape == (1, 4, 16, 20)
+    assert first["depth"].dtype == torch.uint8
+    assert first["heading"].shape == (1, 1)
+    for frame in range(4):
+        torch.testing.assert_close(first["depth"][:, frame], first["depth"][:, 3])
+    torch.testing.assert_close(fifth["depth"][:, 0], second["depth"][:, 3])
+    assert not torch.equal(second["depth"][:, 3], fifth["depth"][:, 3])
+    assert [bool(state["is_init"]) for state in seen[:5]] == [True, False, False, False, False]
+
+
+def test_memory_stays_with_its_robot_when_others_have_finished():
+    batches = []
+
+    def remember(state):
+        if state["is_init"].all():
+            state["home"] = state["pose"].clone()
+            state["age"] = torch.zeros(state.batch_size, dtype=torch.int64)
+        state["age"] = state["age"] + 1
+        batches.append((state["home"][:, 1] - state["pose"][:, 1], state["age"]))
+        return ahead(state)  # nobody leaves the line on which it began
+
+    drive(remember)
+    assert len({len(offsets) for offsets, _ in batches}) > 1
+    for step, (offsets, ages) in enumerate(batches):
+        assert offsets.abs().max() < 1e-5
+        assert (ages == step + 1).all()
+
+
+def test_start_yaws_depend_on_the_seed_and_not_on_the_policy():
+    def yaws(policy, seed):
+        return [path.trajectory[0, 2] for path in drive(policy, OPEN_YAWS, seed=seed).paths]
+
+    assert yaws(ahead, 1) == yaws(circling, 1)
+    assert yaws(ahead, 1) != yaws(ahead, 2)
+
+
+def test_a_policy_that_draws_is_reproducible_and_leaves_the_generator_alone():
+    def random(state):
+        state["action"] = torch.randint(7, state.batch_size)
+        return state
+
+    before = torch.get_rng_state()
+    first, second = drive(random, seed=3), drive(random, seed=3)
+    assert torch.equal(before, torch.get_rng_state())
+    assert first.to_json() == second.to_json()
+    assert first.to_json() != drive(random, seed=4).to_json()
+
+
+def test_exploration_is_off_and_modules_are_in_evaluation_mode():
+    modes = []
+
+    class Fast(torch.nn.Module):
+        def forward(self, heading):
+            modes.append(self.training)
+            return torch.ones(heading.shape[0], dtype=torch.int64)
+
+    greedy = TensorDictModule(Fast(), in_keys=["heading"], out_keys=["action"])
+    explorer = EGreedyModule(Categorical(7), eps_init=1.0, eps_end=1.0)
+    policy = TensorDictSequential(greedy, explorer).train()
+    evaluation = drive(policy)
+    assert (np.concatenate([path.actions for path in evaluation.paths]) == 1).all()
+    assert not any(modes)
+    assert policy.training
+
+
+class Map:
+    """Plans: straight on for the first path, nothing for the second, too little for the third."""
+
+    name = "map"
+
+    def plan(self, world, starts, goals, camera, task, robot):
+        assert (world, camera, task) == (ROOM, CAMERA, TASK)
+        plans = [np.full(30, 1), None, np.array([1])]
+        yield from plans[: len(starts)]
+
+
+def test_a_planner_is_driven_without_looking():
+    evaluation = drive(Map(), num_paths=3)
+    planned, unplanned, short = evaluation.paths
+    assert evaluation.policy == "map"
+    assert planned.outcome == "success"
+    assert set(planned.actions) == {1}
+    assert (unplanned.outcome, unplanned.steps, unplanned.trajectory.shape) == ("timeout", 0, (1, 3))
+    assert short.actions[:3].tolist() == [1, 4, 4]
+    assert short.outcome == "collision"
+
+
+def test_only_some_paths_or_more_than_there_are():
+    assert [(path.start_index, path.goal_index) for path in drive(ahead, num_paths=2).paths] == list(ROOM.paths[:2])
+    with pytest.raises(ValueError, match='"room" has 6 paths; num_paths asks for 7'):
+        drive(ahead, num_paths=7)
+    with pytest.raises(ValueError, match="at least 1; got 0"):
+        drive(ahead, num_paths=0)
+
+
+def test_random_worlds_have_as_many_paths_as_wanted():
+    world = World.from_dict({"format": 1, "size": [6, 6], "starts": [[0, 0], [1, 1]], "goals": "random"})
+    evaluation = drive(ahead, world, num_paths=5)
+    assert [path.start_index for path in evaluation.paths] == [0, 1, 0, 1, 0]
+    assert len({path.goal for path in evaluation.paths}) == 5
+
+
+def test_json_round_trip(tmp_path):
+    evaluation = drive(ahead)
+    summary = json.loads(evaluation.to_json())["summary"]
+    assert summary["success_rate"] == evaluation.success_rate
+    assert summary["success_interval"] == list(evaluation.interval("success"))
+    assert summary["spl"] == evaluation.spl
+    evaluation.save(tmp_path / "made" / "evaluation.json")
+    read = Evaluation.load(tmp_path / "made" / "evaluation.json")
+    assert read.spl == pytest.approx(evaluation.spl, abs=1e-4)
+    for before, after in zip(evaluation.paths, read.paths, strict=True):
+        np.testing.assert_allclose(after.trajectory, before.trajectory, atol=1e-4)
+        np.testing.assert_array_equal(after.actions, before.actions)
+        assert (after.outcome, after.goal, after.reward) == (before.outcome, before.goal, before.reward)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"), [("{", "Expecting"), ("[]", ""), ('{"format": 2}', "format is 2"), ('{"format": 1}', "'paths'")]
+)
+def test_a_file_that_is_no_evaluation_is_named(tmp_path, text, reason):
+    path = tmp_path / "broken.json"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=rf"broken\.json cannot be read as an evaluation: .*{reason}"):
+        Evaluation.load(path)
+    with pytest.raises(ValueError, match=r"none\.json cannot be read"):
+        Evaluation.load(tmp_path / "none.json")
+
+
+def test_the_table_shows_rates_with_their_intervals():
+    paths = (result("success", 4.0, 3.0), result("timeout", 9.0, 3.0))
+    screen = Console(file=io.StringIO(), width=120)
+    screen.print(comparison_table([Evaluation("mine", "hall", 0, paths), Evaluation("yours", "hall", 0, paths[:1])]))
+    text = screen.file.getvalue()
+    assert "hall" in text
+    assert "50 (9 to 91)" in text
+    assert "100 (21 to 100)" in text
+    assert "0.38" in text
+
+
+def test_progress_is_shown_on_a_console():
+    screen = Console(file=io.StringIO(), width=100, force_terminal=True)
+    drive(ahead, console=screen)
+    assert "evaluating in room" in screen.file.getvalue()
+    assert "6/6" in screen.file.getvalue()

@@ -1,0 +1,363 @@
+"""The replay beside one that stores every transition whole and sums n-step returns with a loop."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tensordict import TensorDict
+from torchrl.data import LazyTensorStorage, ReplayBuffer
+from torchrl.envs.transforms import MultiStepTransform
+
+from navsim.robot import MIRRORED_ACTIONS
+from rl.replay import FrameStore, make_replay
+
+HEIGHT, WIDTH = 3, 2
+GAMMA = 0.9
+
+
+class Environments:
+    """N endless streams of random steps, as an environment and a TorchRL collector produce them."""
+
+    def __init__(self, count: int, *, seed: int = 0, end_probability: float = 0.2, shades: int = 256) -> None:
+        self.random = np.random.default_rng(seed)
+        self.count = count
+        self.end_probability = end_probability
+        self.shades = shades
+        self.reset()
+
+    def _images(self) -> np.ndarray:
+        return self.random.integers(0, self.shades, (self.count, 1, HEIGHT, WIDTH), np.uint8)
+
+    def _headings(self) -> np.ndarray:
+        return self.random.uniform(-3, 3, (self.count, 1)).astype(np.float32)
+
+    def reset(self) -> None:
+        """Begins new episodes everywhere, without a word to whoever records."""
+        self.depth, self.heading = np.repeat(self._images(), 4, axis=1), self._headings()
+
+    def _step(self) -> dict:
+        terminated, truncated = self.random.random((2, self.count, 1)) < self.end_probability / 2
+        done = terminated | truncated
+        next_depth, next_heading = np.concatenate([self.depth[:, 1:], self._images()], axis=1), self._headings()
+        step = {
+            "depth": self.depth,
+            "heading": self.heading,
+            "action": self.random.integers(0, 7, self.count),
+            "next": {
+                "depth": next_depth,
+                "heading": next_heading,
+                "reward": self.random.normal(size=(self.count, 1)).astype(np.float32),
+                "done": done,
+                "terminated": terminated,
+                "truncated": truncated,
+            },
+        }
+        self.reset()
+        self.depth = np.where(done[..., None, None], self.depth, next_depth)
+        self.heading = np.where(done, self.heading, next_heading)
+        return step
+
+    def rollout(self, steps: int) -> TensorDict:
+        return torch.stack([TensorDict(self._step(), [self.count]) for _ in range(steps)], dim=1)
+
+
+@dataclass
+class NaiveReplay:
+    """What a replay with n-step returns should hold, in lists of whole steps."""
+
+    capacity: int
+    n_step: int
+    streams: list[list[TensorDict]] = field(default_factory=list)
+    released: int = 0
+    ring: dict[int, TensorDict] = field(default_factory=dict)
+    written: int = 0
+
+    def extend(self, batch: TensorDict) -> None:
+        self.streams = self.streams or [[] for _ in range(len(batch))]
+        for stream, steps in zip(self.streams, batch.unbind(0), strict=True):
+            for step in steps.unbind(0):
+                step = step.clone()
+                if stream and not torch.equal(stream[-1]["next", "depth"], step["depth"]):
+                    stream[-1]["next", "done"] = torch.ones(1, dtype=torch.bool)  # no step follows this one
+                stream.append(step)
+        while self.released < len(self.streams[0]) - self.n_step:
+            for stream in self.streams:
+                self.ring[self.written % self.capacity] = self.n_step_transition(stream[self.released :])
+                self.written += 1
+            self.released += 1
+
+    def n_step_transition(self, steps: list[TensorDict]) -> TensorDict:
+        reward, count = 0.0, 0
+        for step in steps[: self.n_step]:
+            reward += GAMMA**count * step["next", "reward"]
+            count += 1
+            if step["next", "done"]:
+                break
+        transition = steps[0].clone()
+        transition["next"] = step["next"].clone()
+        transition["next", "reward"] = reward
+        transition["steps_to_next_obs"] = torch.tensor(count)
+        return transition
+
+    def read(self) -> TensorDict:
+        return torch.stack([self.ring[index] for index in range(len(self.ring))])
+
+
+def assert_same_content(data: TensorDict, expected: TensorDict) -> None:
+    assert data.batch_size == expected.batch_size
+    keys = ["depth", "heading", "action", "steps_to_next_obs"]
+    keys += [("next", key) for key in ("depth", "heading", "reward", "done", "terminated")]
+    for key in keys:
+        torch.testing.assert_close(data[key], expected[key], rtol=1e-5, atol=1e-6)
+
+
+batches = st.lists(st.tuples(st.integers(1, 6), st.booleans()), min_size=1, max_size=12)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 2**16),
+    environments=st.integers(1, 3),
+    n_step=st.integers(1, 4),
+    capacity=st.integers(1, 40),
+    end_probability=st.sampled_from([0.0, 0.2, 0.9]),
+    shades=st.sampled_from([2, 256]),
+    batches=batches,
+)
+def test_content_is_that_of_a_replay_that_stores_everything(
+    seed, environments, n_step, capacity, end_probability, shades, batches
+):
+    """Also where the ring wraps, where images are equal by chance, and where the collector is reset."""
+    world = Environments(environments, seed=seed, end_probability=end_probability, shades=shades)
+    replay = make_replay(capacity, HEIGHT, WIDTH, batch_size=5, n_step=n_step, gamma=GAMMA)
+    naive = NaiveReplay(capacity, n_step)
+    for length, reset in batches:
+        if reset:
+            world.reset()
+        batch = world.rollout(length)
+        replay.extend(batch)
+        naive.extend(batch)
+        batch.zero_()  # collectors may reuse their memory
+        assert len(replay) == len(naive.ring)
+        if len(replay):
+            assert_same_content(replay[:], naive.read())
+    if len(replay):
+        sample = replay.sample()
+        assert_same_content(sample, naive.read()[sample["index"]])
+
+
+@pytest.mark.parametrize("shape", [(6,), (2, 6), (2, 3, 6)])
+def test_every_batch_dimension_but_the_last_counts_environments(shape):
+    world = Environments(int(np.prod(shape[:-1])))
+    batch = world.rollout(6)
+    replay = make_replay(100, HEIGHT, WIDTH, batch_size=5, gamma=GAMMA)
+    replay.extend(batch.reshape(shape))
+    naive = NaiveReplay(100, 1)
+    naive.extend(batch)
+    assert_same_content(replay[:], naive.read())
+
+
+def test_a_stream_that_is_joined_in_the_middle_is_stored_exactly():
+    world = Environments(2, end_probability=0.0)
+    world.rollout(7)
+    batch = world.rollout(5)
+    replay = make_replay(100, HEIGHT, WIDTH, batch_size=5)
+    replay.extend(batch)
+    torch.testing.assert_close(replay[:]["depth"], batch["depth"][:, :4].transpose(0, 1).flatten(0, 1))
+
+
+def test_torchrl_alone_bootstraps_from_terminal_steps_and_the_replay_does_not():
+    """The reason for ``done_keys=[]``: a return that ends in a terminal step must not be bootstrapped."""
+    done = torch.tensor([[[False], [False], [True], [False], [False], [False], [False]]])
+    data = TensorDict({"next": {"done": done, "terminated": done, "reward": torch.ones(1, 7, 1)}}, [1, 7])
+    flags = []
+    for transform in (MultiStepTransform(3, GAMMA), MultiStepTransform(3, GAMMA, done_keys=[])):
+        buffer = ReplayBuffer(storage=LazyTensorStorage(1, ndim=2), transform=transform)
+        buffer.extend(data.clone())
+        flags.append(buffer[:]["next", "terminated"].flatten().tolist())
+    assert flags == [[False, False, True, False], [True, True, True, False]]
+
+    world = Environments(1, end_probability=0.0)
+    batch = world.rollout(3)
+    batch["next", "done"][0, 2] = batch["next", "terminated"][0, 2] = True
+    world.reset()
+    replay = make_replay(10, HEIGHT, WIDTH, batch_size=1, n_step=3)
+    replay.extend(batch)
+    replay.extend(world.rollout(3))
+    assert replay[:]["next", "terminated"].flatten().tolist() == [True, True, True]
+    assert replay[:]["steps_to_next_obs"].tolist() == [3, 2, 1]
+
+
+def test_fifty_thousand_transitions_fit_in_350_megabytes_and_large_images_in_1200():
+    world = Environments(50, end_probability=0.08)  # episodes of 12 steps; larger images take the same numbers
+    replay = make_replay(50_000, HEIGHT, WIDTH, batch_size=64, n_step=3)
+    while len(replay) < 50_000:
+        batch = world.rollout(20)
+        for _ in range(10):  # ten times the same random numbers, as ten episodes that are not continued
+            replay.extend(batch)
+            batch["depth"] ^= 1
+            batch["next", "depth"] ^= 1
+    for _ in range(20):
+        replay.extend(world.rollout(20))
+    images = len(replay.transform[0]._frames)
+    records = replay.storage.get(slice(None)).bytes()
+    assert images * 80 * 64 + records < 350e6
+    assert images * 160 * 128 + records < 1.2e9
+
+
+def test_room_grows_where_episodes_are_short():
+    world = Environments(2, end_probability=1.0)
+    replay = make_replay(200, HEIGHT, WIDTH, batch_size=5)
+    naive = NaiveReplay(200, 1)
+    for _ in range(30):
+        batch = world.rollout(10)
+        replay.extend(batch)
+        naive.extend(batch)
+    assert len(replay.transform[0]._frames) > 350
+    assert_same_content(replay[:], naive.read())
+
+
+def test_frame_store_gives_numbers_nobody_holds_and_grows_when_all_are_held():
+    store = FrameStore(expected=4, most=4, height=1, width=1)
+    held: dict[int, int] = {}
+    random = np.random.default_rng(0)
+    for value in range(400):
+        for number in random.permutation(list(held))[: max(0, len(held) - random.integers(30, 60))]:
+            del held[int(number)]
+        (number,) = store.reserve(1, lambda: [np.array(list(held), int)])
+        assert int(number) not in held
+        store[np.array([number])] = np.array([[[value % 256]]])
+        held[int(number)] = value % 256
+        numbers = np.array(list(held))
+        assert store[numbers].flatten().tolist() == list(held.values())
+    assert 60 <= len(store) < 120
+
+
+@pytest.mark.parametrize("prioritized", [False, True])
+@pytest.mark.parametrize("through_disk", [False, True])
+def test_a_restored_replay_goes_on_as_the_saved_one(prioritized, through_disk, tmp_path):
+    def make(seed: int):
+        generator = torch.Generator().manual_seed(seed)
+        return make_replay(
+            60, HEIGHT, WIDTH, batch_size=8, n_step=3, prioritized=prioritized, mirror=True, generator=generator
+        )
+
+    world = Environments(3)
+    saved, restored = make(1), make(2)
+    for _ in range(9):
+        saved.extend(world.rollout(4))
+        prioritise(saved)
+    if through_disk:
+        saved.dumps(tmp_path)
+        restored.loads(tmp_path)
+    else:
+        restored.load_state_dict(saved.state_dict())
+    for _ in range(30):
+        batch = world.rollout(5)
+        for replay in (saved, restored):
+            replay.extend(batch.clone())
+        one, other = saved.sample(), restored.sample()
+        assert (one == other).all()
+        for replay in (saved, restored):
+            prioritise(replay)
+
+
+def prioritise(replay) -> None:
+    sample = replay.sample()
+    sample["td_error"] = sample["next", "reward"].abs()
+    replay.update_tensordict_priority(sample)
+
+
+def test_an_empty_replay_can_be_saved_and_one_of_another_image_size_is_refused():
+    world = Environments(2)
+    saved, restored = (make_replay(60, HEIGHT, WIDTH, batch_size=8, n_step=3) for _ in range(2))
+    restored.load_state_dict(saved.state_dict())
+    saved.extend(world.rollout(2))
+    restored.load_state_dict(saved.state_dict())
+    batch = world.rollout(5)
+    for replay in (saved, restored):
+        replay.extend(batch)
+    assert (saved[:] == restored[:]).all()
+    with pytest.raises(ValueError, match="2 x 3 pixels, this one is for 80 x 64"):
+        make_replay(60, 64, 80, batch_size=8).load_state_dict(saved.state_dict())
+
+
+def test_saved_state_is_as_large_as_what_is_stored():
+    replay = make_replay(100_000, HEIGHT, WIDTH, batch_size=8)
+    replay.extend(Environments(1).rollout(50))
+    file = io.BytesIO()
+    torch.save(replay.transform.state_dict(), file)
+    assert file.tell() < 20_000
+
+
+def test_samples_are_reproducible_by_generator_and_by_global_seed():
+    def samples(seed: int, *, prioritized: bool, generator: torch.Generator | None) -> torch.Tensor:
+        torch.manual_seed(seed)
+        replay = make_replay(60, HEIGHT, WIDTH, batch_size=8, prioritized=prioritized, generator=generator)
+        replay.extend(Environments(2).rollout(20))
+        return torch.stack([replay.sample()["index"] for _ in range(3)])
+
+    for prioritized in (False, True):
+        first = samples(0, prioritized=prioritized, generator=None)
+        assert torch.equal(first, samples(0, prioritized=prioritized, generator=None))
+        assert not torch.equal(first, samples(1, prioritized=prioritized, generator=None))
+        own = [samples(seed, prioritized=prioritized, generator=torch.Generator().manual_seed(5)) for seed in (0, 1)]
+        assert torch.equal(*own)
+
+
+def test_prioritised_samples_follow_the_errors():
+    replay = make_replay(50, HEIGHT, WIDTH, batch_size=20_000, prioritized=True)
+    replay.extend(Environments(1).rollout(41))
+    errors = torch.linspace(0.1, 4.0, 40) ** 2
+    data = TensorDict({"index": torch.arange(40), "td_error": errors.unsqueeze(1)}, [40])
+    replay.update_tensordict_priority(data)
+
+    sample = replay.sample()
+
+    expected = errors**0.3 / (errors**0.3).sum()
+    observed = torch.bincount(sample["index"], minlength=40) / 20_000
+    torch.testing.assert_close(observed, expected, rtol=0, atol=0.006)
+    weights = (expected / expected.min()) ** -0.4
+    torch.testing.assert_close(sample["priority_weight"], weights[sample["index"]], rtol=1e-4, atol=1e-4)
+
+    replay.extend(Environments(1).rollout(5))  # new transitions get the greatest priority so far
+    assert replay.sampler._sum_tree[40] == pytest.approx(float(errors.max()) ** 0.3)
+
+
+def test_half_of_a_mirrored_sample_is_the_mirror_image():
+    world = Environments(1)
+    plain, mirrored = (
+        make_replay(50, HEIGHT, WIDTH, batch_size=9, mirror=mirror, generator=torch.Generator().manual_seed(3))
+        for mirror in (False, True)
+    )
+    batch = world.rollout(40)
+    for replay in (plain, mirrored):
+        replay.extend(batch)
+    expected, sample = plain.sample(), mirrored.sample()
+    for i in range(4):
+        expected["action"][i] = MIRRORED_ACTIONS[int(expected["action"][i])]
+        for part in (expected, expected["next"]):
+            part["depth"][i] = torch.from_numpy(np.flip(part["depth"][i].numpy(), axis=-1).copy())
+            part["heading"][i] *= -1
+    assert (sample == expected).all()
+    assert_same_content(mirrored[:][20:], plain[:][20:])
+    assert (mirrored.storage[:] == plain.storage[:]).all()  # what is stored stays as it is
+
+
+def test_data_that_cannot_be_stored_is_refused():
+    for setting in ({"capacity": 0}, {"batch_size": 0}, {"n_step": 0}):
+        (name,) = setting
+        with pytest.raises(ValueError, match=f"{name} of a replay must be at least 1; got 0"):
+            make_replay(**{"capacity": 10, "height": HEIGHT, "width": WIDTH, "batch_size": 2, **setting})
+    replay = make_replay(10, HEIGHT, WIDTH, batch_size=2)
+    replay.extend(Environments(2).rollout(3))
+    with pytest.raises(ValueError, match="knows 2 environments, and now got 3"):
+        replay.extend(Environments(3).rollout(3))
+    with pytest.raises(ValueError, match="moved on by one image"):
+        replay.extend(Environments(2).rollout(3).apply(torch.Tensor.clone).set("depth", torch.zeros(2, 3, 4, 3, 2)))
