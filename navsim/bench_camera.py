@@ -60,7 +60,7 @@ class Row(NamedTuple):
     times_slower: float
     """Than the ray-caster."""
     agreement: float
-    """Share of pixels within 2 cm of what the ray-caster sees within one pixel: rasterisers sample a pixel off its centre."""
+    """Share of pixels within 2 cm of what the ray-caster sees within a pixel; rasterisers sample beside its centre."""
 
 
 class Scaling(NamedTuple):
@@ -183,7 +183,7 @@ def run(
         table.add_column("µs an image", justify="right")
         table.add_column("times slower", justify="right")
         table.add_column("pixels that agree", justify="right")
-        for previous, row in zip([None, *rows], rows):
+        for previous, row in zip([None, *rows], rows, strict=False):
             if previous is not None and previous.world != row.world:
                 table.add_section()
             if math.isnan(row.images_per_second):
@@ -276,7 +276,7 @@ def _eyes(camera: DepthCamera, poses: np.ndarray) -> np.ndarray:
 
 
 def _triangles(prisms: Sequence[Prism], floor: float) -> np.ndarray:
-    """``(T, 3, 3)``, counter-clockwise from outside, of prisms and a square floor of the half side ``floor``, metres."""
+    """``(T, 3, 3)``, counter-clockwise from outside, of prisms and of a floor as far as ``floor`` metres."""
     angles = np.arange(_SEGMENTS) * 2.0 * math.pi / _SEGMENTS
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     corners = floor * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
@@ -342,9 +342,7 @@ def _mujoco(world: World, camera: DepthCamera) -> _Peer:
     for can in world.obstacles:
         if isinstance(can, Cylinder):
             size = [can.radius, 0.5 * can.height, 0.0]
-            spec.worldbody.add_geom(
-                type=geometry.mjGEOM_CYLINDER, pos=[*can.at, 0.5 * (can.base + can.top)], size=size
-            )
+            spec.worldbody.add_geom(type=geometry.mjGEOM_CYLINDER, pos=[*can.at, 0.5 * (can.base + can.top)], size=size)
     for number, prism in enumerate(_polygon_prisms(world)):
         triangles = _triangles([prism], 0.0)[2:]
         faces = np.arange(3 * len(triangles))
@@ -398,7 +396,9 @@ def _pybullet(world: World, camera: DepthCamera) -> _Peer:
             normals=[[0.0, 0.0, 1.0]] * len(corners),
         )
     near, far = 0.02, 1.2 * camera.max_range
-    right, up = (near * math.tan(math.radians(0.5 * fov)) for fov in (camera.horizontal_fov_deg, camera.vertical_fov_deg))
+    right, up = (
+        near * math.tan(math.radians(0.5 * fov)) for fov in (camera.horizontal_fov_deg, camera.vertical_fov_deg)
+    )
     projection = pybullet.computeProjectionMatrix(-right, right, -up, up, near, far)
 
     def render(poses: np.ndarray) -> np.ndarray:
@@ -437,7 +437,7 @@ def _miniworld(world: World, camera: DepthCamera) -> _Peer:
     # Miniworld's y points up and its z towards us, from the plan's point of view.
     swap = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
-    class Scenery(Entity):  # type: ignore[misc]
+    class Scenery(Entity):
         is_static = True
 
         def randomize(self, params: object, rng: object) -> None:
@@ -453,7 +453,7 @@ def _miniworld(world: World, camera: DepthCamera) -> _Peer:
                     gl.glVertex3f(*corner)
             gl.glEnd()
 
-    class Environment(MiniWorldEnv):  # type: ignore[misc]
+    class Environment(MiniWorldEnv):
         def _gen_world(self) -> None:
             self.add_rect_room(min_x=-1e3, max_x=1e3, min_z=-1e3, max_z=1e3, no_ceiling=True)
             self.rooms[0]._render = lambda: None

@@ -7,6 +7,7 @@ bounding boxes; each pair is then expanded into the edges of its prism.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -188,6 +189,30 @@ class Footprints:
             ends: ``(N, 2)``, metres.
             clear: ``(P,)``, metres, from the core: the footprint's own radius is not added.
         """
+        keeps = np.ones(len(starts), dtype=bool)
+        length = np.sqrt(_dot(ends - starts, ends - starts))
+        longest = float(length.max(initial=0.0))
+        # Piece by piece from the start, so that a long segment that is soon blocked costs no more than a short one.
+        pieces = 1 if not len(self) else min(100, max(1, math.ceil(longest / self._piece(clear))))
+        for piece in range(pieces):
+            # Shares of each segment; multiplied out, so that the last piece ends where its segment does.
+            span = np.divide(longest / pieces, length, out=np.full_like(length, np.inf), where=length > 0.0)
+            alive = np.flatnonzero(keeps & ((piece == 0) | (piece * span < 1.0)))
+            if not len(alive):
+                break
+            way = ends[alive] - starts[alive]
+            begin, end = piece * span[alive, None] if piece else 0.0, np.minimum((piece + 1) * span[alive, None], 1.0)
+            here, there = starts[alive] + begin * way, starts[alive] + end * way
+            keeps[alive] = self._short_segments_keep_clear(here, there, clear)
+        return keeps
+
+    def _piece(self, clear: np.ndarray) -> float:
+        """A length, metres, of which most segments among many footprints meet one."""
+        extents = np.ptp(np.concatenate([self.low, self.high]), axis=0)
+        widths = 2.0 * float(np.sum(self.inner + clear))
+        return max(float(np.prod(extents)) / widths, float(np.max(clear)))
+
+    def _short_segments_keep_clear(self, starts: np.ndarray, ends: np.ndarray, clear: np.ndarray) -> np.ndarray:
         keeps = np.ones(len(starts), dtype=bool)
         reach = (clear - self.radius)[:, None]
         low, high = np.minimum(starts, ends), np.maximum(starts, ends)

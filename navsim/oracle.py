@@ -58,7 +58,8 @@ _EFFORTS = (
 
 _BATCH = 64  # nodes that are examined at a time
 _METRES_A_SECOND = 0.1  # what a second costs beside the metres driven
-_GUIDE_RESOLUTION = 0.05  # metres
+_GUIDE_RESOLUTION = 0.05  # metres between neighbouring points of the guide's grid
+_GUIDE_POINTS = 500_000  # of the guide's grid in a large room_GUIDES_KEPT = 64  # half a megabyte each in a room of 7 m
 
 _ROUNDING = 1e-6
 _FASTEST = max(action.linear for action in ACTIONS if action.linear is not None)
@@ -126,6 +127,8 @@ class Oracle:
     def _guide(self, goal: np.ndarray, effort: _Effort) -> _Guide:
         key = (float(goal[0]), float(goal[1]), effort.guide_margin)
         if key not in self._guides:
+            if len(self._guides) >= _GUIDES_KEPT:
+                self._guides.clear()
             radius = self.robot.radius + effort.guide_margin
             self._guides[key] = _Guide(self.world, goal, radius, self.robot.height, self.task.goal_radius)
         return self._guides[key]
@@ -244,18 +247,18 @@ class _Rules:
 class _Guide:
     """What is left to drive from anywhere in the room to one goal, roughly: looked up in a grid.
 
-    The geodesic distance for a disc, and how far the robot has to turn to follow it. A turn by φ on a circle of radius r
-    takes r·(φ − sin φ) more than the straight line.
+    The geodesic distance for a disc, and how far the robot has to turn to follow it. A turn by φ on a circle of
+    radius r takes r·(φ − sin φ) more
+    than the straight line.
     """
 
     def __init__(
         self, world: World, goal: np.ndarray, robot_radius: float, robot_height: float, goal_radius: float
     ) -> None:
-        field = DistanceField(
-            world, goal, robot_radius=robot_radius, robot_height=robot_height, goal_radius=goal_radius
-        )
         half = world.half_size
-        self._shape = np.maximum(2, np.ceil(2.0 * half / _GUIDE_RESOLUTION).astype(np.intp) + 1)
+        resolution = max(_GUIDE_RESOLUTION, math.sqrt(4.0 * half.prod() / _GUIDE_POINTS))
+        self._shape = np.maximum(2, np.ceil(2.0 * half / resolution).astype(np.intp) + 1)
+        field = DistanceField(world, goal, resolution, robot_radius, robot_height, goal_radius)
         self._origin, self._spacing = -half, 2.0 * half / (self._shape - 1)
         x, y = (low + step * np.arange(n) for low, step, n in zip(-half, self._spacing, self._shape, strict=True))
         points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
@@ -299,7 +302,7 @@ def _search(
     closed: set[tuple[int, ...]] = set()
 
     while queue and examined < effort.max_nodes:
-        batch = []
+        batch: list[int] = []
         while queue and len(batch) < _BATCH:
             batch.append(heapq.heappop(queue)[1])
         nodes = np.array(batch)

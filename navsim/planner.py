@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 
 OPEN_FLOOR_MARGIN = 2.0
 """Metres that a path may lead outside the rectangle of a room without walls."""
-EXACT_UP_TO = 150
+EXACT_UP_TO = 300
 """Obstacles in the robot's way up to which shortest paths are exact."""
-NEIGHBOURS = 40
-"""Among more obstacles, sight lines are looked for as far as this many stand around one on average."""
+SIGHT_LINES = 6.0
+"""Among more obstacles, sight lines are looked for up to this many times the mean way to the next obstacle."""
 CONTACT = 1e-7
 """Metres: the robot fits where it lacks this much room."""
 
@@ -247,8 +247,8 @@ class FreeSpace:
         count = len(self.obstacles)
         if count <= EXACT_UP_TO:
             return math.inf
-        area = 4.0 * float(np.prod(self.half_extents))
-        return math.sqrt(NEIGHBOURS * area / (math.pi * count))
+        widths = 2.0 * float(np.sum(self.obstacles.inner + self.obstacles.radius + self.robot_radius))
+        return SIGHT_LINES * 4.0 * float(np.prod(self.half_extents)) / widths
 
     def _is_reachable(self, start: np.ndarray, goal: np.ndarray, goal_radius: float) -> bool:
         """Whether ``start``, outside the goal's disc, is connected with it.

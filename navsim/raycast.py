@@ -18,6 +18,7 @@ every row is a running minimum from the image's border to its middle.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -185,18 +186,17 @@ def cast(scene: Scene, world_index: np.ndarray, poses: np.ndarray, camera: Depth
     Returns:
         ``(N, H, W)`` float32, planar depth in metres, at most ``camera.max_range``.
     """
-    standing, floating = _trace(scene, world_index, poses, camera, camera.max_range)
     num_robots, height, width = len(poses), camera.height, camera.width
     half = (height + 1) // 2
-    # The upper half of the images, and the lower one upside down; of an odd number of rows, both hold the level one.
-    halves = np.full((2, half, num_robots * width), camera.max_range, dtype=np.float32)
-    _paint_standing(halves[0], standing, standing.top, camera)
-    _paint_standing(halves[1], standing, -standing.base, camera)
+    standing, hanging = _trace(scene, world_index, poses, camera, camera.max_range)
+    rows = np.full((half, 2 * num_robots * width), camera.max_range, dtype=np.float32)
+    _paint_standing(rows, standing, camera)
     floor = camera.mount_z * camera.inverse_row_slopes[:half]
-    np.minimum(halves[1], floor.astype(np.float32)[:, None], out=halves[1])
-    _paint_floating(halves, floating, camera)
+    lower = rows[:, num_robots * width :]
+    np.minimum(lower, floor.astype(np.float32)[:, None], out=lower)
+    _paint_hanging(rows, hanging, camera)
 
-    upper, lower = halves.reshape(2, half, num_robots, width).swapaxes(1, 2)
+    upper, lower = rows.reshape(half, 2, num_robots, width).transpose(1, 2, 0, 3)
     image = np.empty((num_robots, height, width), dtype=np.float32)
     image[:, ::-1][:, :half] = lower
     image[:, :half] = upper
@@ -215,79 +215,74 @@ def nearest_depth(
     Returns:
         ``(N,)`` float32, metres; ``within`` where nothing nearer is seen.
     """
-    standing, floating = _trace(scene, world_index, poses, camera, within)
-    nearest = np.full(len(poses), within, dtype=np.float32)
-
-    upper, lower = (camera.height + 1) // 2, camera.height // 2
-    seen = _row_of(standing.top, standing.near, camera) < upper
-    seen |= _row_of(-standing.base, standing.near, camera) < lower
+    standing, hanging = _trace(scene, world_index, poses, camera, within)
+    nearest = np.full(2 * len(poses), within, dtype=np.float32)
+    seen = _row_under(standing.top, standing.near, camera) < (camera.height + 1) // 2
     np.minimum.at(nearest, standing.column[seen] // camera.width, standing.near[seen].astype(np.float32))
-
-    low, first, count = _hanging(floating, camera)
+    first, count = _rows_of(hanging, camera)
     seen = count > 0
-    depth = np.maximum(floating.near[seen], low[seen] * camera.inverse_row_slopes[first[seen]])
-    np.minimum.at(nearest, floating.column[seen] // camera.width, depth.astype(np.float32))
-    return nearest
+    depth = np.maximum(hanging.near[seen], hanging.base[seen] * camera.inverse_row_slopes[first[seen]])
+    np.minimum.at(nearest, hanging.column[seen] // camera.width, depth.astype(np.float32))
+    return nearest.reshape(2, len(poses)).min(axis=0)
 
 
-class _Crossings(NamedTuple):
-    """Stretches of columns' planar rays through prisms, one an entry of each array ``(M,)``."""
+class _Standing(NamedTuple):
+    """What columns see of prisms that stand across the camera's height, one crossing an entry of each array ``(S,)``.
 
-    column: np.ndarray  # robot * W + column
+    The lower halves of images are upper halves of the world turned upside down about the camera: columns are those of N
+    upper halves, then of N lower ones, whose rows run from the border to the middle of the image.
+    """
+
+    column: np.ndarray  # robot * W + column; N*W more in lower halves
     near: np.ndarray  # depth at which the ray enters the footprint, metres
-    far: np.ndarray  # depth at which it leaves the footprint
-    base: np.ndarray  # the prism's heights over the camera, metres
+    top: np.ndarray  # height over the camera, metres
+
+
+class _Hanging(NamedTuple):
+    """What columns see of prisms that hang over the camera, which those under it do in the lower halves."""
+
+    column: np.ndarray
+    near: np.ndarray
+    far: np.ndarray  # depth at which the ray leaves the footprint, metres
+    base: np.ndarray  # height over the camera, metres
     top: np.ndarray
 
 
-def _row_of(height: np.ndarray, depth: np.ndarray, camera: DepthCamera) -> np.ndarray:
-    """First row of the upper half that passes under ``height`` (metres over the camera) at ``depth``; or their number."""
+def _row_under(height: np.ndarray, depth: np.ndarray, camera: DepthCamera) -> np.ndarray:
+    """First row of a half that passes under ``height`` (metres over the camera) at ``depth``; their number for none."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         row = camera.height / 2 - 0.5 - camera.fy * height / depth
     return np.ceil(np.fmin(np.fmax(row, 0.0), (camera.height + 1) // 2)).astype(np.intp)
 
 
-def _paint_standing(rows: np.ndarray, standing: _Crossings, edge: np.ndarray, camera: DepthCamera) -> None:
-    """Draws prisms that reach from the height ``edge`` to the camera's: a pixel keeps the least depth.
+def _rows_of(hanging: _Hanging, camera: DepthCamera) -> tuple[np.ndarray, np.ndarray]:
+    """First row and number of rows that see a prism: its face at ``near``, then its under face as far as ``far``."""
+    first = _row_under(hanging.top, hanging.near, camera)
+    return first, np.maximum(_row_under(hanging.base, hanging.far, camera) - first, 0)
 
-    Args:
-        rows: ``(R, N*W)``, half of the images.
-        standing: the prisms.
-        edge: ``(M,)`` metres over the camera.
-        camera: the camera.
-    """
-    first = _row_of(edge, standing.near, camera)
+
+def _paint_standing(rows: np.ndarray, standing: _Standing, camera: DepthCamera) -> None:
+    """Draws into ``rows`` ``(R, 2*N*W)``, where a pixel keeps the least depth."""
+    first = _row_under(standing.top, standing.near, camera)
     seen = np.flatnonzero(first < len(rows))
     pixel = first[seen] * rows.shape[1] + standing.column[seen]
     np.minimum.at(rows.reshape(-1), pixel, standing.near[seen].astype(np.float32))
-    for row, next_row in zip(rows, rows[1:], strict=False):
+    for row, next_row in itertools.pairwise(rows):
         np.minimum(row, next_row, out=next_row)
 
 
-def _hanging(floating: _Crossings, camera: DepthCamera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """How prisms hang over the camera; those below it hang over it in the half that is upside down.
-
-    Returns:
-        height over the camera of the face that is seen, metres; first row, number of rows in which the prism is seen.
-    """
-    above = floating.base > 0.0
-    low = np.where(above, floating.base, -floating.top)
-    first = _row_of(np.where(above, floating.top, -floating.base), floating.near, camera)
-    return low, first, np.maximum(_row_of(low, floating.far, camera) - first, 0)
-
-
-def _paint_floating(halves: np.ndarray, floating: _Crossings, camera: DepthCamera) -> None:
-    """Draws prisms that are wholly above or below the camera over ``halves`` ``(2, R, N*W)`` of images."""
-    low, first, count = _hanging(floating, camera)
-    pixels, (_, half, row_size) = halves.reshape(-1), halves.shape
-    start = floating.column + first * row_size + np.where(floating.base > 0.0, 0, half * row_size)
-    shown = np.flatnonzero(count)
+def _paint_hanging(rows: np.ndarray, hanging: _Hanging, camera: DepthCamera) -> None:
+    """Draws into ``rows`` ``(R, 2*N*W)``, where a pixel keeps the least depth, after all that stands."""
+    first, count = _rows_of(hanging, camera)
+    pixels, row_size = rows.reshape(-1), rows.shape[1]
+    pixel = first * row_size + hanging.column
     # What stands before it in the first of its rows stands before it in all of them.
-    shown = shown[floating.near[shown] < pixels[start[shown]]]
+    shown = np.flatnonzero(count)
+    shown = shown[hanging.near[shown] < pixels[pixel[shown]]]
     owner, step = _expand(count[shown])
     owner = shown[owner]
-    depth = np.maximum(floating.near[owner], low[owner] * camera.inverse_row_slopes[first[owner] + step])
-    np.minimum.at(pixels, start[owner] + step * row_size, depth.astype(np.float32))
+    depth = np.maximum(hanging.near[owner], hanging.base[owner] * camera.inverse_row_slopes[first[owner] + step])
+    np.minimum.at(pixels, pixel[owner] + step * row_size, depth.astype(np.float32))
 
 
 def _expand(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -297,52 +292,78 @@ def _expand(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return owner, np.arange(len(owner)) - first[owner]
 
 
+class _Frames(NamedTuple):
+    """The cameras' frames."""
+
+    position: np.ndarray  # (N, 2), metres
+    cosine: np.ndarray  # (N,), of the yaw
+    sine: np.ndarray
+
+    def forward_and_left(self, points: np.ndarray, robot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Coordinates ``(K,)`` of ``points`` ``(K, 2)`` in the frames of ``robot`` ``(K,)``, metres."""
+        offset = points - self.position[robot]
+        cosine, sine = self.cosine[robot], self.sine[robot]
+        return offset[:, 0] * cosine + offset[:, 1] * sine, offset[:, 1] * cosine - offset[:, 0] * sine
+
+
+def _frames(poses: np.ndarray, camera: DepthCamera) -> _Frames:
+    """Where the cameras of robots at ``poses`` are."""
+    cosine, sine = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    position = np.empty((len(poses), 2))
+    position[:, 0] = poses[:, 0] + cosine * camera.mount_x - sine * camera.mount_y
+    position[:, 1] = poses[:, 1] + sine * camera.mount_x + cosine * camera.mount_y
+    return _Frames(position, cosine, sine)
+
+
 def _trace(
     scene: Scene, world_index: np.ndarray, poses: np.ndarray, camera: DepthCamera, max_range: float
-) -> tuple[_Crossings, _Crossings]:
-    """Crossings of all columns, up to ``max_range`` metres: with prisms at the camera's height, and with others."""
-    eye = camera.mount_z
-    cosine, sine = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    cameras = np.empty((len(poses), 2))
-    cameras[:, 0] = poses[:, 0] + cosine * camera.mount_x - sine * camera.mount_y
-    cameras[:, 1] = poses[:, 1] + sine * camera.mount_x + cosine * camera.mount_y
+) -> tuple[_Standing, _Hanging]:
+    """What all columns can see up to ``max_range`` metres."""
+    frames = _frames(poses, camera)
     half_width = math.tan(math.radians(camera.horizontal_fov_deg) / 2)
-    robot, prism = scene.candidates(world_index, cameras, max_range * math.hypot(1.0, half_width))
-
-    # In the camera's frame: forward and left.
-    offset = scene.centre[prism] - cameras[robot]
-    c, s = cosine[robot], sine[robot]
-    forward = offset[:, 0] * c + offset[:, 1] * s
-    left = offset[:, 1] * c - offset[:, 0] * s
+    robot, prism = scene.candidates(world_index, frames.position, max_range * math.hypot(1.0, half_width))
+    forward, left = frames.forward_and_left(scene.centre[prism], robot)
     reach = scene.bounding_radius[prism]
     # The sides of the view are planes through the camera: compare distances from them.
     beyond = forward * half_width + reach * math.hypot(1.0, half_width)
     seen = np.flatnonzero((forward > -reach) & (forward < max_range + reach) & (np.abs(left) < beyond))
-    robot, prism, forward, left, c, s = robot[seen], prism[seen], forward[seen], left[seen], c[seen], s[seen]
-    base, top, radius = scene.base[prism] - eye, scene.top[prism] - eye, scene.radius[prism]
-    floats = (base > 0.0) | (top < 0.0)
+    robot, prism, forward, left = robot[seen], prism[seen], forward[seen], left[seen]
+    base, top, radius = scene.base[prism] - camera.mount_z, scene.top[prism] - camera.mount_z, scene.radius[prism]
+    hangs = (base > 0.0) | (top < 0.0)
 
     circles, polygons = np.flatnonzero(radius > 0.0), np.flatnonzero(radius == 0.0)
     count = scene.vertex_count[prism[polygons]]
     local, vertex = _expand(count)
     pair = polygons[local]
-    corner = scene.vertices[scene.first_vertex[prism[pair]] + vertex] - cameras[robot[pair]]
-    ahead = corner[:, 0] * c[pair] + corner[:, 1] * s[pair]
-    aside = corner[:, 1] * c[pair] - corner[:, 0] * s[pair]
+    corner = scene.vertices[scene.first_vertex[prism[pair]] + vertex]
+    ahead, aside = frames.forward_and_left(corner, robot[pair])
     parts = (
         _trace_circles(circles, forward[circles], left[circles], radius[circles], camera),
-        _trace_polygons(polygons, count, ahead, aside, floats, camera),
+        _trace_polygons(polygons, count, ahead, aside, hangs, camera),
     )
     pair, column, near, far = (np.concatenate(both) for both in zip(*parts, strict=True))
     column += (robot * camera.width)[pair]
+    in_range, hangs = near < max_range, hangs[pair]
 
-    def crossings(chosen: np.ndarray) -> _Crossings:
-        index = np.flatnonzero(chosen & (near < max_range))
-        of_pair = pair[index]
-        return _Crossings(column[index], near[index], far[index], base[of_pair], top[of_pair])
-
-    floating = floats[pair]
-    return crossings(~floating), crossings(floating)
+    lower = len(poses) * camera.width
+    index = np.flatnonzero(in_range & ~hangs)
+    pair_of, near_of, column_of = pair[index], near[index], column[index]
+    standing = _Standing(
+        np.concatenate([column_of, column_of + lower]),
+        np.concatenate([near_of, near_of]),
+        np.concatenate([top[pair_of], -base[pair_of]]),
+    )
+    index = np.flatnonzero(in_range & hangs)
+    base, top = base[pair[index]], top[pair[index]]
+    above = base > 0.0
+    hanging = _Hanging(
+        column[index] + np.where(above, 0, lower),
+        near[index],
+        far[index],
+        np.where(above, base, -top),
+        np.where(above, top, -base),
+    )
+    return standing, hanging
 
 
 def _columns_between(u_first: np.ndarray, u_last: np.ndarray, width: int) -> tuple[np.ndarray, np.ndarray]:
@@ -385,7 +406,7 @@ def _trace_polygons(
     count: np.ndarray,
     ahead: np.ndarray,
     aside: np.ndarray,
-    floats: np.ndarray,
+    hangs: np.ndarray,
     camera: DepthCamera,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Columns' rays through convex polygons: pair, column, near, far of each crossing.
@@ -394,7 +415,7 @@ def _trace_polygons(
         polygons: ``(Q,)`` pairs that are polygons.
         count: ``(Q,)`` numbers of their vertices.
         ahead, aside: ``(E,)`` the vertices in the camera's frame, metres, counter-clockwise within each polygon.
-        floats: by pair, whether the depth at which rays leave matters; elsewhere ``far`` is ``near``.
+        hangs: by pair, whether the depth at which rays leave matters; elsewhere ``far`` is ``near``.
         camera: the camera.
     """
     width, fx = camera.width, camera.fx
@@ -407,7 +428,7 @@ def _trace_polygons(
     normal_ahead, normal_aside = aside_1 - aside, ahead - ahead_1
     offset = normal_ahead * ahead + normal_aside * aside
     margin = _NEAR * math.hypot(1.0, camera.column_slopes[0]) * np.hypot(normal_ahead, normal_aside)
-    inside = np.zeros(len(floats), dtype=bool)
+    inside = np.zeros(len(hangs), dtype=bool)
     inside[polygons] = np.minimum.reduceat(offset + margin, first) >= 0.0
 
     behind = ahead < _NEAR
@@ -436,11 +457,11 @@ def _trace_polygons(
     holds = inside[pair]
     entered, column, near = columns_of(np.flatnonzero(np.where(holds, runs < 0.0, runs > 0.0)))
     near[inside[entered]] = 0.0
-    left, left_column, left_far = columns_of(np.flatnonzero((runs < 0.0) & floats[pair]))
-    number = np.cumsum(floats) - 1  # of pairs that float
-    far_of = np.zeros(np.count_nonzero(floats) * width)
+    left, left_column, left_far = columns_of(np.flatnonzero((runs < 0.0) & hangs[pair]))
+    number = np.cumsum(hangs) - 1  # of pairs that hang
+    far_of = np.zeros(np.count_nonzero(hangs) * width)
     far_of[number[left] * width + left_column] = left_far
     far = near.copy()
-    floating = np.flatnonzero(floats[entered])
-    far[floating] = np.maximum(near[floating], far_of[number[entered[floating]] * width + column[floating]])
+    hanging = np.flatnonzero(hangs[entered])
+    far[hanging] = np.maximum(near[hanging], far_of[number[entered[hanging]] * width + column[hanging]])
     return entered, column, near, far

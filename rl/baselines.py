@@ -174,7 +174,8 @@ class ReactivePolicy(_Driver):
         left, right = np.split(scan - (self._LOOK_AHEAD * commands[:, 0])[:, None], 2, axis=1)
         left, right = left.min(axis=1), right.min(axis=1)
         evades = np.minimum(left, right) < self._NEAR
-        side = np.where(left > right, 1.0, -1.0)
+        side = np.where(left == right, directions, left - right)
+        side = np.where(side < 0.0, -1.0, 1.0)
         turns = np.where(evades, np.where(side > 0, _LEFT, _RIGHT), _turn_actions(self._GAIN * directions))
         # What it evades, it goes on to evade: a direction on the other side is forgotten.
         directions = np.where(evades & (np.sign(directions) != side), side * np.pi / 6, directions)

@@ -55,7 +55,9 @@ def explorer(actor: TensorDictModuleBase, env: NavEnv, config: TrainConfig) -> T
     return TensorDictSequential(actor, exploration)
 
 
-def make_collector(env: NavEnv, policy: TensorDictModuleBase, config: TrainConfig, *, total_steps: int) -> BaseCollector:
+def make_collector(
+    env: NavEnv, policy: TensorDictModuleBase, config: TrainConfig, *, total_steps: int
+) -> BaseCollector:
     """An in-process collector of batches ``(N, T)`` of ``config.steps_per_batch`` transitions.
 
     Args:

@@ -99,7 +99,7 @@ class Learning:
     hard_update_interval: int = 1_000
     """Gradient steps between two hard copies."""
     autocast: Literal["auto", "float32", "bfloat16"] = "auto"
-    """Number format of the networks' multiplications; "auto" takes bfloat16 where the CPU computes in it."""
+    """Number format of the networks' multiplications; "auto" measures which is faster here."""
     num_threads: int = 2
     """CPU threads for the networks."""
 

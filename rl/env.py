@@ -102,13 +102,13 @@ class NavEnv(EnvBase):
         ).to(self.device)
         self.action_spec = Categorical(NUM_ACTIONS, shape=(n,), dtype=torch.int64).to(self.device)
         self.reward_spec = Unbounded(shape=(n, 1), dtype=torch.float32).to(self.device)
-        self.done_spec = Composite(
-            done=flag.clone(), terminated=flag.clone(), truncated=flag.clone(), shape=(n,)
-        ).to(self.device)
+        self.done_spec = Composite(done=flag.clone(), terminated=flag.clone(), truncated=flag.clone(), shape=(n,)).to(
+            self.device
+        )
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs) -> TensorDictBase:
         mask = None
-        if tensordict is not None and "_reset" in tensordict.keys():
+        if tensordict is not None and "_reset" in tensordict:
             mask = tensordict["_reset"].reshape(-1).cpu().numpy()
         observation = self.simulator.reset(mask)
         depth = torch.from_numpy(observation.depth)

@@ -390,7 +390,7 @@ def _drive(
     """Drives the robots that are in ``driven`` (N,) to the ends of their episodes; the others stay at their starts."""
     episodes = [_Episode() for _ in driven]
     running = np.flatnonzero(driven)  # the episode of each of the simulator's robots
-    if not driven.all():
+    if 0 < len(running) < len(driven):
         simulator, state = _subset(simulator, driven), state[torch.from_numpy(driven)]
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC), _evaluation_mode(policy):
         while len(running):

@@ -108,10 +108,9 @@ def choose_examples(evaluation: Evaluation, count: int = 4) -> list[PathResult]:
     # Successes from different starts, as far as there are: drives out of the same corner look alike.
     successes = [path for path in by_length if path.outcome == "success"]
     firsts = [path for rank, path in enumerate(successes) if path.start_index not in _starts(successes[:rank])]
-    others = [path for path in successes if path not in firsts] + [path for path in by_length if path not in chosen]
-    wanted = list(dict.fromkeys([*firsts, *others]))
-    chosen = wanted[: count - len(chosen)] + chosen
-    return list(dict.fromkeys(chosen))
+    others = [path for path in successes if path not in firsts]
+    chosen = [*firsts, *others][: count - len(chosen)] + chosen
+    return (chosen + [path for path in by_length if path not in chosen])[:count]
 
 
 def _starts(paths: Sequence[PathResult]) -> set[int]:

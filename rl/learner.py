@@ -10,7 +10,7 @@ from tensordict import TensorDictBase
 from torchrl.objectives import HardUpdate, SoftUpdate
 
 from rl.config import TrainConfig
-from rl.loss import D3QNLoss
+from rl.loss import D3QNLoss, fastest_autocast
 from rl.networks import make_q_actor
 
 
@@ -28,12 +28,14 @@ class Learner:
             self.actor,
             gamma=config.gamma,
             loss_function=config.loss_function,
-            autocast=autocast_dtype(config.autocast),
+            autocast=number_format(config.autocast),
         )
         if config.target_update == "soft":
             self.target_updater = SoftUpdate(self.loss, tau=config.tau)
         else:
-            self.target_updater = HardUpdate(self.loss, value_network_update_interval=config.hard_update_interval)
+            # HardUpdate copies once its counter, which the copying call does not raise, has reached this number.
+            interval = config.hard_update_interval - 1
+            self.target_updater = HardUpdate(self.loss, value_network_update_interval=interval)
         self.parameters = [parameter for parameter in self.loss.parameters() if parameter.requires_grad]
         self.optimiser = torch.optim.Adam(self.parameters, lr=config.learning_rate, fused=True)
         self.updates = 0
@@ -89,12 +91,8 @@ class Learner:
         self.updates = state_dict["updates"]
 
 
-def autocast_dtype(setting: str) -> torch.dtype | None:
-    """The format that multiplications run in, None for float32; "auto" is bfloat16 where the CPU computes in it."""
-    if setting == "float32":
-        return None
-    if setting == "bfloat16":
-        return torch.bfloat16
-    # Emulated bfloat16 is slower than float32: only these instruction sets multiply it.
-    native = torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported()
-    return torch.bfloat16 if native else None
+def number_format(setting: str) -> torch.dtype | None:
+    """What ``D3QNLoss`` takes for a run's ``autocast``: None is float32."""
+    if setting == "auto":
+        return fastest_autocast()
+    return {"float32": None, "bfloat16": torch.bfloat16}[setting]

@@ -147,7 +147,7 @@ class FrameStore:
             larger[: self._size] = self._images[: self._size]
             self._images = larger
         self._free = np.concatenate([np.arange(self._size, size, dtype=np.int32)[::-1], self._free])
-        self._size = size
+        self._size = int(size)
 
     def __setitem__(self, numbers: np.ndarray, images: np.ndarray) -> None:
         """Puts images, ``(..., H, W)``, under numbers ``(...)``."""
@@ -220,6 +220,7 @@ class SharedFrames(MultiStepTransform):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Looks up the images of records that were read from the storage."""
+        tensordict = tensordict.copy()  # what is read as a whole is the storage itself
         for key in ("depth", ("next", "depth")):
             tensordict.set(key, torch.from_numpy(self._frames[tensordict.get(key).numpy()]))
         return tensordict

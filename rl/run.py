@@ -28,12 +28,9 @@ import torch
 
 from rl.config import TrainConfig
 
-METRICS = (
-    "step episodes seconds steps_per_second success_rate collision_rate timeout_rate reward episode_length"
-    " loss q_mean max_q epsilon learning_rate"
-).split()
+METRICS = ["step", "episodes", "seconds", "steps_per_second", "success_rate", "collision_rate", "timeout_rate", "reward", "episode_length", "loss", "q_mean", "max_q", "epsilon", "learning_rate"]
 """Columns of metrics.csv."""
-EVALUATIONS = "step seconds world success_rate collision_rate timeout_rate spl reward steps".split()
+EVALUATIONS = ["step", "seconds", "world", "success_rate", "collision_rate", "timeout_rate", "spl", "reward", "steps"]
 """Columns of evaluations.csv."""
 _LIBRARIES = ("torch", "torchrl", "tensordict", "pymunk", "numpy", "pydantic", "scipy")
 
@@ -181,7 +178,9 @@ class Run:
             return torch.load(path, map_location="cpu", weights_only=True)
         except Exception as error:  # torch.load raises a dozen types for a damaged file
             first_line = (str(error).splitlines() or [type(error).__name__])[0]
-            raise RunError(f"{path} is damaged or not a file of weights ({first_line}); train again or restore it") from error
+            raise RunError(
+                f"{path} is damaged or not a file of weights ({first_line}); train again or restore it"
+            ) from error
 
 
 def versions() -> dict[str, str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -16,7 +17,7 @@ from navsim.worldfile import load_world
 from rl.collect import explorer, make_collector, make_env
 from rl.config import TrainConfig
 from rl.evaluate import Evaluation, evaluate
-from rl.learner import Learner
+from rl.learner import Learner, number_format
 from rl.progress import Clock, TrainingProgress, progress_bar
 from rl.replay import make_replay
 from rl.run import Run, RunError
@@ -44,6 +45,8 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
     torch.set_num_threads(config.num_threads)
     torch.manual_seed(config.seed)
     random.seed(config.seed)
+    if config.autocast == "auto":  # chosen by a stopwatch, so it is written down: a resumed run must not choose again
+        config = replace(config, autocast="float32" if number_format("auto") is None else "bfloat16")
     eval_world = load_world(config.eval_world)
     env = make_env(config)
     run = Run.open(config.directory) if resume else Run.create(config)
@@ -199,9 +202,7 @@ class _Logs:
 
 
 def _evaluate(learner: Learner, world: World, config: TrainConfig) -> Evaluation:
-    return evaluate(
-        learner.actor, world, camera=config.camera, task=config.task, robot=config.robot, seed=config.seed
-    )
+    return evaluate(learner.actor, world, camera=config.camera, task=config.task, robot=config.robot, seed=config.seed)
 
 
 def _probe_states(config: TrainConfig) -> Any:

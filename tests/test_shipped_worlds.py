@@ -125,8 +125,7 @@ def test_goals_are_spread_evenly(name):
 def test_the_evaluation_room_holds_the_same_obstacles_in_another_arrangement(room):
     def inventory(world):
         return Counter(
-            (obstacle.name, type(obstacle), obstacle.base, obstacle.height, getattr(obstacle, "size", None))
-            + (getattr(obstacle, "radius", None),)
+            (obstacle.name, obstacle.kind, obstacle.base, obstacle.height, round(footprint(obstacle).area, 6))
             for obstacle in world.obstacles
         )
 

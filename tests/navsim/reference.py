@@ -82,8 +82,8 @@ def solids(world: dict[str, Any]) -> list[Solid]:
             (x, y), (length, width), yaw = shape["at"], shape["size"], math.radians(shape.get("yaw_deg", 0.0))
             along = 0.5 * length * np.array([math.cos(yaw), math.sin(yaw)])
             across = 0.5 * width * np.array([-math.sin(yaw), math.cos(yaw)])
-            corners = np.array([x, y]) + [along + across, across - along, -along - across, along - across]
-            found.append(Solid(Polygon(corners), base, top, box=(x, y, length, width, yaw)))
+            corners = np.stack([along + across, across - along, -along - across, along - across])
+            found.append(Solid(Polygon(corners + np.array([x, y])), base, top, box=(x, y, length, width, yaw)))
         else:
             found.append(Solid(shapely.geometry.polygon.orient(Polygon(shape["points"])), base, top))
     return found
@@ -97,7 +97,7 @@ def camera_position(camera: DepthCamera, pose: np.ndarray) -> np.ndarray:
 
 
 def pixel_rays(camera: DepthCamera, pose: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """``(..., 3)`` rays of unit planar depth through any points of the image; (0, 0) is the centre of its first pixel."""
+    """``(..., 3)`` rays of unit planar depth through points of the image; (0, 0) is the centre of its first pixel."""
     left = (1.0 - (2.0 * columns + 1.0) / camera.width) * math.tan(math.radians(0.5 * camera.horizontal_fov_deg))
     up = (1.0 - (2.0 * rows + 1.0) / camera.height) * math.tan(math.radians(0.5 * camera.vertical_fov_deg))
     forward = np.array([math.cos(pose[2]), math.sin(pose[2]), 0.0])
@@ -156,8 +156,8 @@ class MeshReference:
         if floor:
             # Turned, so that its diagonal falls on no axis.
             angle = 0.3 + 0.5 * math.pi * np.arange(4)
-            corners = 1.5 * _WINDOW * np.stack([np.cos(angle), np.sin(angle), np.zeros(4)], axis=1)
-            meshes.append(trimesh.Trimesh(corners + [*centre, 0.0], [[0, 1, 2], [0, 2, 3]], process=False))
+            corners = 1.5 * _WINDOW * np.stack([np.cos(angle), np.sin(angle)], axis=1) + np.array(centre)
+            meshes.append(trimesh.Trimesh(_at_height(corners, 0.0), [[0, 1, 2], [0, 2, 3]], process=False))
         self._scene = EmbreeScene(robust=True)
         if meshes:
             mesh = trimesh.util.concatenate(meshes)

@@ -89,7 +89,7 @@ def test_to_uint8_gives_255_at_the_greatest_depth_and_one_count_every_196_tenths
         depth = np.minimum((counts + shift) * (5.0 / 255.0), 5.0).astype(np.float32)
         np.testing.assert_array_equal(camera.to_uint8(depth), counts)
     assert camera.to_uint8(np.float32([5.0])).dtype == np.uint8
-    assert 5.0 / 255.0 == pytest.approx(0.0196, abs=5e-5)
+    assert camera.max_range / 255 == pytest.approx(0.0196, abs=5e-5)
 
 
 def test_the_blind_zone_reads_zero_and_its_end_does_not():

@@ -190,7 +190,7 @@ def test_depth_along_the_ray_is_what_counts_for_a_range_camera():
         start=(-1.2, 0.0),
         goal=(1.0, 0.0),
     )
-    task, camera = Task(max_steps=24), DepthCamera(depth="range")
+    task, camera = Task(max_steps=22), DepthCamera(depth="range")
     assert planned(world, task=task) is None
     outcome, _ = drive(world, planned(world, task=task, camera=camera), task=task, camera=camera)
     assert outcome == "success"

@@ -59,7 +59,7 @@ def result(outcome: str, driven: float, shortest: float, actions=(1,)) -> PathRe
         reward=0.5,
         shortest_path_length=shortest,
         trajectory=np.array([[0.0, 0.0, 0.0], [driven, 0.0, 0.0]]),
-        actions=np.array(actions),
+        actions=np.array(actions, dtype=np.int64),
     )
 
 

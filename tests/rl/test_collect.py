@@ -1,0 +1,82 @@
+"""Collectors, in this process and in others."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from functools import partial
+
+import pytest
+import torch
+from torchrl.collectors import Collector, MultiSyncCollector
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from navsim.camera import DepthCamera
+from rl.collect import explorer, make_collector, make_env
+from rl.config import PRESETS
+from rl.env import NavEnv
+from rl.networks import make_q_actor
+
+CAMERA = DepthCamera(width=20, height=12)
+CONFIG = replace(PRESETS["fast"], camera=CAMERA, num_envs=4, steps_per_batch=32, epsilon_steps=320)
+
+
+def test_batches_continue_from_one_to_the_next():
+    env = make_env(CONFIG)
+    batches = list(make_collector(env, explorer(make_q_actor("I", 12, 20), env, CONFIG), CONFIG, total_steps=128))
+    assert [batch.shape for batch in batches] == [(4, 8)] * 4
+    for earlier, later in itertools.pairwise(batches):
+        goes_on = ~earlier["next", "done"][:, -1, 0]
+        assert goes_on.any()
+        assert (earlier["next", "depth"][goes_on, -1] == later["depth"][goes_on, 0]).all()
+
+
+def test_the_share_of_random_actions_falls_linearly():
+    env = make_env(CONFIG)
+    policy = explorer(make_q_actor("I", 12, 20), env, CONFIG)
+    exploration = policy[-1]
+    state = env.reset()
+    greedy = policy[0](state.clone())["action"]
+
+    def share():
+        with set_exploration_type(ExplorationType.RANDOM):
+            return torch.stack([policy(state.clone())["action"] != greedy for _ in range(400)]).float().mean().item()
+
+    torch.manual_seed(0)
+    assert share() == pytest.approx(6 / 7, abs=0.05)  # one random action in seven is the greedy one
+    for _ in range(5):
+        exploration.step()
+    assert float(exploration.eps) == pytest.approx(0.5 * (1.0 + CONFIG.epsilon_end), abs=1e-6)
+    for _ in range(20):
+        exploration.step()
+    assert float(exploration.eps) == pytest.approx(CONFIG.epsilon_end)
+    assert share() < 0.06
+
+
+def test_training_paths_are_drawn_anywhere_unless_listed_ones_are_asked_for():
+    def starts(config):
+        return {tuple(pose[:2].tolist()) for _ in range(8) for pose in make_env(config, seed=_).reset()["pose"]}
+
+    assert len(starts(CONFIG)) == 32
+    assert len(starts(replace(CONFIG, random_paths=False))) <= 5
+
+
+def test_it_works_in_processes_of_their_own():
+    collector = MultiSyncCollector(
+        [partial(NavEnv, "complex_train", 2, camera=CAMERA, seed=seed) for seed in range(2)],
+        None,
+        frames_per_batch=32,
+        total_frames=64,
+    )
+    try:
+        batches = [batch.clone() for batch in collector]
+    finally:
+        collector.shutdown()
+    assert sum(batch.numel() for batch in batches) == 64
+    assert batches[0]["depth"].dtype == torch.uint8
+    assert len(torch.unique(batches[0]["pose"].reshape(-1, 3), dim=0)) > 8
+
+
+def test_the_plain_collector_takes_a_creator():
+    collector = Collector(partial(NavEnv, "simple_train", 2, camera=CAMERA), None, frames_per_batch=20, total_frames=40)
+    assert sum(batch.numel() for batch in collector) == 40

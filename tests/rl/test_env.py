@@ -1,0 +1,146 @@
+"""``NavEnv``: specs, stacks of images, partial resets, seeds, and what TorchRL does with it."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+import torch
+from torchrl.envs.utils import check_env_specs
+
+from navsim import World, load_world
+from navsim.camera import DepthCamera
+from navsim.simulator import Simulator
+from navsim.task import Task
+from rl.env import NUM_FRAMES, NavEnv
+
+CAMERA = DepthCamera(width=20, height=12)
+CORRIDOR = World.from_dict({"format": 1, "size": [8, 4], "starts": [{"at": [-3, 0], "yaw_deg": 0}], "goals": [[3, 0]]})
+
+
+def act(env: NavEnv, state, actions):
+    """One step with these actions; the state after it."""
+    state["action"] = torch.as_tensor(actions)
+    return env.step(state)
+
+
+@pytest.mark.parametrize("num_envs", [1, 5])
+def test_specs_hold(num_envs):
+    env = NavEnv("complex_train", num_envs, camera=CAMERA, seed=0)
+    check_env_specs(env, seed=0)
+    assert env.batch_size == (num_envs,)
+    assert env.observation_spec["depth"].shape == (num_envs, NUM_FRAMES, 12, 20)
+    assert env.observation_spec["depth"].dtype == torch.uint8
+    assert env.action_spec.n == 7
+    assert env.action_spec.shape == (num_envs,)
+
+
+def test_the_default_image_is_80_by_64():
+    assert NavEnv(CORRIDOR, 2).reset()["depth"].shape == (2, 4, 64, 80)
+
+
+def test_a_step_brings_what_the_simulator_brings():
+    env = NavEnv("complex_train", 4, camera=CAMERA, seed=3)
+    simulator = Simulator(load_world("complex_train"), 4, camera=CAMERA, seed=3)
+    state, seen = env.reset(), simulator.reset()
+    frames = [np.repeat(seen.depth[:, None], NUM_FRAMES, axis=1)]
+    generator = np.random.default_rng(0)
+    for _ in range(12):
+        actions = generator.integers(0, 7, 4)
+        state, moved = act(env, state, actions)["next"], simulator.step(actions)
+        frames.append(np.concatenate([frames[-1][:, 1:], moved.depth[:, None]], axis=1))
+        np.testing.assert_array_equal(state["depth"], frames[-1])
+        np.testing.assert_array_equal(state["heading"][:, 0], moved.heading)
+        np.testing.assert_array_equal(state["pose"], moved.pose)
+        for key in ("reward", "terminated", "truncated", "success", "collision"):
+            np.testing.assert_array_equal(state[key][:, 0], getattr(moved, key))
+        done = moved.terminated | moved.truncated
+        np.testing.assert_array_equal(state["done"][:, 0], done)
+        if done.any():
+            break
+
+
+def test_only_the_robots_named_in_reset_begin_anew():
+    env = NavEnv(CORRIDOR, 3, camera=CAMERA, seed=0)
+    state = env.reset()
+    for _ in range(3):
+        state = act(env, state, [2, 2, 2])["next"]  # turning, so that the picture changes
+    before = {key: state[key].clone() for key in ("depth", "pose", "heading")}
+    state["_reset"] = torch.tensor([[False], [True], [False]])
+    after = env.reset(state)
+    for key, value in before.items():
+        assert (after[key][[0, 2]] == value[[0, 2]]).all()
+    assert after["pose"][1, 0] == -3.0
+    assert (after["depth"][1] == after["depth"][1, :1]).all(), "the first image of an episode is repeated"
+    assert not (before["depth"][0] == before["depth"][0, :1]).all(), "the robots that drive on keep their history"
+
+
+def test_tensors_handed_out_do_not_change_later():
+    env = NavEnv(CORRIDOR, 2, camera=CAMERA, seed=0)
+    first = env.reset()
+    kept, copy = first["depth"], first["depth"].clone()
+    second = act(env, first, [1, 1])["next"]
+    second_copy = second["depth"].clone()
+    env.reset()
+    assert (kept == copy).all()
+    assert (second["depth"] == second_copy).all()
+
+
+def test_the_goal_terminates_and_the_time_limit_truncates():
+    reached = NavEnv(CORRIDOR, 1, camera=CAMERA, seed=0).rollout(
+        200, policy=lambda td: td.set("action", torch.tensor([1]))
+    )
+    end = reached[:, -1]["next"]
+    assert end["success"].item()
+    assert end["terminated"].item()
+    assert end["done"].item()
+    assert not end["truncated"].item()
+    assert end["reward"].item() == 1.0
+
+    late = NavEnv(CORRIDOR, 1, camera=CAMERA, task=Task(max_steps=7), seed=0)
+    end = late.rollout(200, policy=fast)
+    assert end.shape[1] == 7
+    assert end[:, -1]["next", "truncated"].item()
+    assert end[:, -1]["next", "done"].item()
+    assert not end[:, -1]["next", "terminated"].item()
+
+
+def test_same_seed_same_rollout_and_another_seed_another():
+    def rollout(seed):
+        env = NavEnv("complex_train", 3, camera=CAMERA)
+        env.set_seed(seed)
+        torch.manual_seed(0)
+        return env.rollout(40, break_when_any_done=False)
+
+    first, again, other = rollout(5), rollout(5), rollout(6)
+    assert (first == again).all()
+    assert not (first["pose"] == other["pose"]).all()
+
+
+def test_several_worlds_are_drawn_from():
+    narrow = World.from_dict({"format": 1, "size": [3, 3], "starts": [[-1, 0]], "goals": [[1, 0]]})
+    env = NavEnv([CORRIDOR, narrow], 32, camera=CAMERA, seed=0)
+    assert set(env.reset()["pose"][:, 0].tolist()) == {-3.0, -1.0}
+
+
+def test_it_goes_on_from_its_state_bit_for_bit():
+    def drive(env, state, steps):
+        torch.manual_seed(1)
+        return env.rollout(steps, auto_reset=False, tensordict=state, break_when_any_done=False)
+
+    env = NavEnv("complex_train", 4, camera=CAMERA, seed=2)
+    state = env.rollout(30, break_when_any_done=False)[:, -1]["next"].exclude("reward")
+    state["_reset"] = state["done"].clone()
+    state = env.reset(state)
+    kept = pickle.loads(pickle.dumps(env.state_dict()))
+    expected = drive(env, state.clone(), 30)
+    fresh = NavEnv("complex_train", 4, camera=CAMERA, seed=99)
+    fresh.reset()
+    fresh.load_state_dict(kept)
+    assert (drive(fresh, state.clone(), 30) == expected).all()
+
+
+def test_a_world_that_does_not_exist_is_told():
+    with pytest.raises(ValueError, match="complex_trian"):
+        NavEnv("complex_trian")

@@ -1,0 +1,116 @@
+"""The learner: when it learns, how fast, and that it can go on."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from dataclasses import replace
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from navsim.camera import DepthCamera
+from rl.config import PRESETS
+from rl.learner import Learner
+
+CONFIG = replace(PRESETS["fast"], camera=DepthCamera(width=20, height=12), total_steps=1_000, warmup_steps=200)
+
+
+def sample(seed: int = 0, batch_size: int = 16) -> TensorDict:
+    generator = torch.Generator().manual_seed(seed)
+
+    def observation():
+        return {
+            "depth": torch.randint(0, 256, (batch_size, 4, 12, 20), dtype=torch.uint8, generator=generator),
+            "heading": torch.rand(batch_size, 1, generator=generator) * 6 - 3,
+        }
+
+    following = {
+        **observation(),
+        "reward": torch.randn(batch_size, 1, generator=generator),
+        "done": torch.ones(batch_size, 1, dtype=torch.bool),
+        "terminated": torch.ones(batch_size, 1, dtype=torch.bool),
+    }
+    action = torch.randint(0, 7, (batch_size,), generator=generator)
+    return TensorDict({**observation(), "action": action, "next": following}, [batch_size])
+
+
+def test_updates_are_due_after_the_warm_up_at_a_fixed_ratio():
+    learner = Learner(CONFIG)
+    assert [learner.updates_due(step) for step in (0, 200, 207, 208, 1_000)] == [0, 0, 0, 1, 100]
+    assert Learner(replace(CONFIG, steps_per_update=0.5)).updates_due(201) == 2
+
+
+def test_the_learning_rate_falls_along_half_a_cosine():
+    learner = Learner(CONFIG)
+    rates = []
+    for updates in (0, 50, 100):
+        learner.updates = updates
+        rates.append(learner.learning_rate)
+    assert rates == pytest.approx([CONFIG.learning_rate, CONFIG.learning_rate / 2, 0.0], abs=1e-12)
+    constant = Learner(replace(CONFIG, learning_rate_decay="none"))
+    constant.updates = 100
+    assert constant.learning_rate == CONFIG.learning_rate
+
+
+@pytest.mark.parametrize("model", ["I", "S"])
+def test_what_is_known_is_learnt(model):
+    torch.manual_seed(0)
+    learner = Learner(replace(CONFIG, model=model, learning_rate_decay="none", learning_rate=1e-3))
+    batch = sample()
+    losses = [float(learner.update(batch)) for _ in range(150)]
+    assert losses[-1] < 0.02 * losses[0]
+    values = learner.actor(batch.clone())["action_value"].gather(1, batch["action"].unsqueeze(1))
+    assert (values - batch["next", "reward"]).abs().max() < 0.3
+
+
+def target(learner: Learner) -> torch.Tensor:
+    return torch.cat([value.flatten() for value in learner.loss.target_value_network_params.flatten_keys().values()])
+
+
+def online(learner: Learner) -> torch.Tensor:
+    return torch.cat([value.flatten() for value in learner.loss.value_network_params.data.flatten_keys().values()])
+
+
+def test_the_soft_target_takes_a_share_of_the_network_at_each_update():
+    learner = Learner(replace(CONFIG, tau=0.25))
+    before = target(learner).clone()
+    learner.update(sample())
+    torch.testing.assert_close(target(learner), 0.75 * before + 0.25 * online(learner))
+
+
+def test_the_hard_target_is_a_copy_now_and_then():
+    learner = Learner(replace(CONFIG, target_update="hard", hard_update_interval=3))
+    before, equal = target(learner).clone(), []
+    for seed in range(7):
+        learner.update(sample(seed))
+        equal.append(bool((target(learner) == online(learner)).all()))
+    assert equal == [False, False, True, False, False, True, False]
+    assert not (target(learner) == before).all()
+
+
+@pytest.mark.parametrize("target_update", ["soft", "hard"])
+def test_it_goes_on_from_its_state_bit_for_bit(target_update):
+    config = replace(CONFIG, target_update=target_update, hard_update_interval=4)
+    torch.manual_seed(0)
+    learner = Learner(config)
+    for seed in range(3):
+        learner.update(sample(seed))
+    restored = Learner(config)
+    restored.load_state_dict(deepcopy(learner.state_dict()))  # an optimiser keeps the tensors that it is given
+    for seed in range(3, 6):
+        assert learner.update(sample(seed)) == restored.update(sample(seed))
+    assert (online(learner) == online(restored)).all()
+    assert (target(learner) == target(restored)).all()
+
+
+def test_gradients_are_clipped():
+    learner = Learner(replace(CONFIG, max_grad_norm=1e-6, learning_rate=1.0, learning_rate_decay="none"))
+    before = online(learner).clone()
+    norms = []
+    learner.optimiser.register_step_pre_hook(
+        lambda *_: norms.append(torch.linalg.vector_norm(torch.cat([p.grad.flatten() for p in learner.parameters])))
+    )
+    learner.update(sample())
+    assert float(norms[0]) == pytest.approx(1e-6, rel=1e-3)
+    assert not (online(learner) == before).all()

@@ -1,0 +1,129 @@
+"""Whole runs, very small ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from rich.console import Console
+
+from navsim.camera import DepthCamera
+from rl.config import PRESETS, TrainConfig
+from rl.run import EVALUATIONS, METRICS, Run, RunError
+from rl.train import train
+
+QUIET = Console(quiet=True)
+
+
+def config(out: Path, **settings) -> TrainConfig:
+    small = replace(
+        PRESETS["fast"],
+        camera=DepthCamera(width=20, height=12),
+        eval_world="simple_eval",
+        total_steps=768,
+        num_envs=4,
+        steps_per_batch=32,
+        warmup_steps=128,
+        batch_size=16,
+        steps_per_update=16,
+        replay_capacity=512,
+        log_interval=256,
+        eval_interval=384,
+        checkpoint_interval=384,
+        num_threads=1,
+        autocast="float32",
+        out=out,
+    )
+    return replace(small, **settings)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Run:
+    return train(config(tmp_path_factory.mktemp("runs") / "first"), console=QUIET)
+
+
+def weights(run: Run, name: str = "policy_last") -> torch.Tensor:
+    return torch.cat([value.flatten() for value in run.load_policy(name).values()])
+
+
+def test_a_run_leaves_what_it_promises(run):
+    assert [row["step"] for row in run.metrics.rows()] == ["256", "512", "768"]
+    assert [row["step"] for row in run.evaluations.rows()] == ["384", "768"]
+    assert list(run.metrics.rows()[-1]) == METRICS
+    assert list(run.evaluations.rows()[-1]) == EVALUATIONS
+    assert all(row["loss"] for row in run.metrics.rows()[1:])
+    names = {path.name for path in run.directory.iterdir()}
+    assert {"config.json", "versions.json", "policy.pt", "policy_last.pt", "checkpoints", "tensorboard"} <= names
+    assert list((run.directory / "tensorboard").rglob("events.out.tfevents*"))
+    assert run.config == config(run.directory)
+
+
+@pytest.mark.parametrize("settings", [{}, {"prioritized": True}], ids=["evenly", "prioritized"])
+def test_the_same_seed_gives_the_same_run(tmp_path, settings):
+    first = train(config(tmp_path / "a", total_steps=384, **settings), console=QUIET)
+    second = train(config(tmp_path / "b", total_steps=384, **settings), console=QUIET)
+    other = train(config(tmp_path / "c", total_steps=384, seed=1, **settings), console=QUIET)
+    assert (weights(first) == weights(second)).all()
+    assert not (weights(first) == weights(other)).all()
+    kept = ["loss", "q_mean", "max_q", "reward"]
+    assert [[row[key] for key in kept] for row in first.metrics.rows()] == [
+        [row[key] for key in kept] for row in second.metrics.rows()
+    ]
+
+
+def test_a_finished_run_is_not_overwritten(run):
+    with pytest.raises(RunError, match="already holds a run"):
+        train(config(run.directory), console=QUIET)
+
+
+def test_an_interrupted_run_goes_on(tmp_path, monkeypatch):
+    from rl.learner import Learner
+
+    settings = config(tmp_path / "run")
+    due = 28  # updates before step 576, between the checkpoint at 384 and the end
+    update = Learner.update
+
+    def interrupted(self, sample):
+        if self.updates == due:
+            raise KeyboardInterrupt
+        return update(self, sample)
+
+    monkeypatch.setattr(Learner, "update", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        train(settings, console=QUIET)
+    monkeypatch.setattr(Learner, "update", update)
+    assert [row["step"] for row in Run.open(tmp_path / "run").metrics.rows()] == ["256", "512"]
+
+    run = train(settings, resume=True, console=QUIET)
+    rows = run.metrics.rows()
+    assert [row["step"] for row in rows] == ["256", "512", "768"]
+    assert [row["step"] for row in run.evaluations.rows()] == ["384", "768"]
+    seconds = [float(row["seconds"]) for row in rows]
+    assert seconds == sorted(seconds)
+
+
+def test_resuming_a_finished_run_changes_nothing(run):
+    before = weights(run), run.metrics.rows(), run.evaluations.rows()
+    train(config(run.directory), resume=True, console=QUIET)
+    assert (weights(run) == before[0]).all()
+    assert run.metrics.rows() == before[1]
+    assert run.evaluations.rows() == before[2]
+
+
+def test_the_thesis_preset_trains(tmp_path):
+    settings = replace(
+        PRESETS["thesis"],
+        camera=DepthCamera(width=20, height=12),
+        model="S",
+        world=("simple_train",),
+        eval_world="simple_eval",
+        total_steps=192,
+        warmup_steps=64,
+        num_threads=1,
+        out=tmp_path / "run",
+    )
+    run = train(settings, console=QUIET)
+    assert run.metrics.rows()[-1]["loss"]
+    assert (run.directory / "policy.pt").exists()
