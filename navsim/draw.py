@@ -3,15 +3,15 @@
 Everything is drawn on the matplotlib objects it is given (or on figures of its own, without pyplot's global state), so
 pictures may be made from threads, servers and notebooks alike.
 
->>> from navsim.draw import draw_world, new_figure, save_figure
+>>> from navsim.draw import draw_world, figure_png, new_figure
 >>> from navsim.world import World
 >>> world = World.from_dict({"format": 1, "name": "hall", "size": [4, 3],
 ...     "obstacles": [{"box": {"at": [0, 0], "size": [0.6, 0.4], "height": 0.8}}],
 ...     "starts": [[-1.5, 0]], "goals": [[1.5, 0]]})
 >>> figure = new_figure(5, 4)
 >>> draw_world(figure.add_subplot(), world)
->>> len(figure.axes)  # the plan view and its colour bar
-2
+>>> figure_png(figure)[1:4]
+b'PNG'
 """
 
 from __future__ import annotations

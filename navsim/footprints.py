@@ -194,14 +194,13 @@ class Footprints:
         longest = float(length.max(initial=0.0))
         # Piece by piece from the start, so that a long segment that is soon blocked costs no more than a short one.
         pieces = 1 if not len(self) else min(100, max(1, math.ceil(longest / self._piece(clear))))
+        share = np.divide(longest / pieces, length, out=np.ones_like(length), where=length > 0.0)
         for piece in range(pieces):
-            # Shares of each segment; multiplied out, so that the last piece ends where its segment does.
-            span = np.divide(longest / pieces, length, out=np.full_like(length, np.inf), where=length > 0.0)
-            alive = np.flatnonzero(keeps & ((piece == 0) | (piece * span < 1.0)))
+            alive = np.flatnonzero(keeps & ((piece == 0) | (piece * share < 1.0)))
             if not len(alive):
                 break
             way = ends[alive] - starts[alive]
-            begin, end = piece * span[alive, None] if piece else 0.0, np.minimum((piece + 1) * span[alive, None], 1.0)
+            begin, end = piece * share[alive, None], np.minimum((piece + 1) * share[alive, None], 1.0)
             here, there = starts[alive] + begin * way, starts[alive] + end * way
             keeps[alive] = self._short_segments_keep_clear(here, there, clear)
         return keeps
@@ -237,8 +236,8 @@ def overlapping_boxes(
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Every pair of a box and another box that overlap or touch, in chunks of two index arrays.
 
-    The other boxes are sorted by x among those of about the same width, so that the cost follows the number of pairs
-    that come near in x, and one wide box does not make all of them slow.
+    The other boxes are taken size by size, so that a large one does not slow down the search for small ones, and
+    sorted into rows of about their height and by x within a row. The cost follows the number of pairs that come near.
 
     Args:
         low: ``(N, 2)``, least x and y of each box.
@@ -246,18 +245,38 @@ def overlapping_boxes(
         other_low: ``(M, 2)``, the same of the other boxes.
         other_high: ``(M, 2)``.
     """
-    width = other_high[:, 0] - other_low[:, 0]
-    doublings = np.frexp(width)[1]
+    extent = (other_high - other_low).max(axis=1, initial=0.0)
+    doublings = np.frexp(extent)[1]
     for doubling in np.unique(doublings):
         others = np.flatnonzero(doublings == doubling)
-        others = others[np.argsort(other_low[others, 0])]
-        begin = np.searchsorted(other_low[others, 0], low[:, 0] - width[others].max(), side="left")
-        count = np.searchsorted(other_low[others, 0], high[:, 0], side="right") - begin
-        for boxes, within in _ranges(begin, count):
+        for boxes, within in _near_in_rows(low, high, other_low[others], extent[others].max()):
             near = others[within]
             overlap = (low[boxes] <= other_high[near]) & (high[boxes] >= other_low[near])
             overlap = overlap[:, 0] & overlap[:, 1]
             yield boxes[overlap], near[overlap]
+
+
+def _near_in_rows(
+    low: np.ndarray, high: np.ndarray, corner: np.ndarray, extent: float
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Pairs of boxes with other boxes, of ``corner`` ``(M, 2)`` and at most ``extent``, that may overlap them."""
+    origin, span = corner.min(axis=0), np.ptp(corner, axis=0)
+    height = max(extent, span[1] / math.sqrt(len(corner)), np.finfo(np.float64).tiny)
+    # A row and an x in it become one number; the slack makes up for what that number rounds off.
+    stride = 2.0 * (span[0] + extent) + 1.0
+    slack = 1e-9 * (stride * (span[1] / height + 1.0) + extent + np.abs(corner).max())
+    place = np.floor((corner[:, 1] - origin[1]) / height) * stride + (corner[:, 0] - origin[0])
+    order = np.argsort(place)
+    place = place[order]
+    left = np.clip(low[:, 0] - origin[0] - extent - slack, -0.5 * extent - slack, span[0] + extent)
+    right = np.clip(high[:, 0] - origin[0] + slack, -0.5 * extent - slack, span[0] + extent)
+    first = np.floor(np.clip((low[:, 1] - origin[1] - extent - slack) / height, -1.0, span[1] / height + 1.0))
+    last = np.floor(np.clip((high[:, 1] - origin[1] + slack) / height, -1.0, span[1] / height + 1.0))
+    for boxes, rows in _ranges(first, (last - first + 1.0).astype(np.intp)):
+        begin = np.searchsorted(place, rows * stride + left[boxes], side="left")
+        end = np.searchsorted(place, rows * stride + right[boxes], side="right")
+        for within, others in _ranges(begin, np.maximum(end - begin, 0)):
+            yield boxes[within], order[others.astype(np.intp)]
 
 
 def _ranges(begin: np.ndarray, count: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:

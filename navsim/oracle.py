@@ -59,7 +59,8 @@ _EFFORTS = (
 _BATCH = 64  # nodes that are examined at a time
 _METRES_A_SECOND = 0.1  # what a second costs beside the metres driven
 _GUIDE_RESOLUTION = 0.05  # metres between neighbouring points of the guide's grid
-_GUIDE_POINTS = 500_000  # of the guide's grid in a large room_GUIDES_KEPT = 64  # half a megabyte each in a room of 7 m
+_GUIDE_POINTS = 500_000  # of the guide's grid in a large room
+_GUIDES_KEPT = 64  # half a megabyte each in a room of 7 m
 
 _ROUNDING = 1e-6
 _FASTEST = max(action.linear for action in ACTIONS if action.linear is not None)

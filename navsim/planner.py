@@ -30,7 +30,7 @@ OPEN_FLOOR_MARGIN = 2.0
 """Metres that a path may lead outside the rectangle of a room without walls."""
 EXACT_UP_TO = 300
 """Obstacles in the robot's way up to which shortest paths are exact."""
-SIGHT_LINES = 6.0
+SIGHT_LINES = 4.0
 """Among more obstacles, sight lines are looked for up to this many times the mean way to the next obstacle."""
 CONTACT = 1e-7
 """Metres: the robot fits where it lacks this much room."""

@@ -30,8 +30,8 @@ def save_plan_view(world: World, path: str | Path) -> Path:
     draw_world(axes, world, names=True)
     if not isinstance(world.starts, str) and not isinstance(world.goals, str):
         pairs = itertools.product(world.starts, world.goals)
-        paths = [shortest_path(world, start.at, goal.at) for start, goal in pairs]
+        paths = [shortest_path(world, start.at, goal.at, goal_radius=0.0) for start, goal in pairs]
         lines = [path for path in paths if path is not None]
         axes.add_collection(LineCollection(lines, colors=VIEW, lw=0.8, alpha=0.5, zorder=2.9), autolim=False)
-    axes.set_title(str(world), fontsize=9)
+    axes.set_title(world.name)
     return save_figure(figure, path)

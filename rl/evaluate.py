@@ -9,12 +9,13 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path as FilePath
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 import torch
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
@@ -333,10 +334,10 @@ def evaluate(
         PathResult(
             start_index=path.start_index,
             goal_index=path.goal_index,
-            goal=(float(goal[0]), float(goal[1])),
+            goal=_point(goal),
             outcome=episode.outcome,
             reward=episode.reward,
-            shortest_path_length=_shortest(world, start, goal, simulator.task, robot),
+            shortest_path_length=_shortest(world, _point(start), _point(goal), simulator.task, robot),
             trajectory=np.array([start, *episode.poses]),
             actions=np.array(episode.actions, dtype=np.int64),
         )
@@ -344,6 +345,10 @@ def evaluate(
     )
     policy_name = name or getattr(policy, "name", "") or type(policy).__name__
     return Evaluation(policy=policy_name, world=world.name, seed=seed, paths=tuple(results))
+
+
+def _point(place: np.ndarray) -> tuple[float, float]:
+    return float(place[0]), float(place[1])
 
 
 def _paths_of(world: World, num_paths: int | None) -> list[Path]:
@@ -478,14 +483,18 @@ def _follow_plan(state: TensorDictBase) -> TensorDictBase:
     return state
 
 
-def _shortest(world: World, start: np.ndarray, goal: np.ndarray, task: Task, robot: Robot) -> float:
-    return shortest_path_length(
-        world,
-        start[:2],
-        goal,
-        robot_radius=robot.radius,
-        robot_height=robot.height,
-        goal_radius=task.goal_radius,
+@lru_cache(maxsize=4096)
+def _shortest(world: World, start: tuple[float, float], goal: tuple[float, float], task: Task, robot: Robot) -> float:
+    """Metres from a start to the edge of the goal's disc. Kept: a world's paths are evaluated again and again."""
+    return float(
+        shortest_path_length(
+            world,
+            start,
+            goal,
+            robot_radius=robot.radius,
+            robot_height=robot.height,
+            goal_radius=task.goal_radius,
+        )
     )
 
 
@@ -493,7 +502,7 @@ def _shortest(world: World, start: np.ndarray, goal: np.ndarray, task: Task, rob
 def _progress(console: Console | None, label: str, total: int) -> Iterator[Callable[[int], None]]:
     """A progress bar over the paths; gives the function that counts those that ended."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=console is None) as bar:
+    with Progress(*columns, console=console, transient=True, disable=console is None or not console.is_terminal) as bar:
         task = bar.add_task(f"evaluating in {label}", total=total)
         yield lambda ended: bar.advance(task, ended)
 
@@ -506,7 +515,13 @@ def comparison_table(evaluations: Sequence[Evaluation], *, title: str | None = N
         title: over the table; by default the worlds' names.
     """
     worlds = dict.fromkeys(evaluation.world for evaluation in evaluations)
-    table = Table(title=title or ", ".join(worlds), caption="in brackets: Wilson's 95% intervals")
+    # Without vertical lines it fits a terminal of 80 columns.
+    table = Table(
+        title=title or ", ".join(worlds),
+        caption="in brackets: Wilson's 95% intervals",
+        box=SIMPLE_HEAD,
+        padding=(0, 0, 0, 1),
+    )
     table.add_column("policy", style="bold", no_wrap=True)
     if len(worlds) > 1:
         table.add_column("world")
@@ -516,7 +531,7 @@ def comparison_table(evaluations: Sequence[Evaluation], *, title: str | None = N
         rates = []
         for outcome in OUTCOMES:
             low, high = evaluation.interval(outcome)
-            rates.append(f"{100 * evaluation.rate(outcome):.0f} [dim]({100 * low:.0f} to {100 * high:.0f})[/dim]")
+            rates.append(f"{100 * evaluation.rate(outcome):.0f} [dim]({100 * low:.0f}–{100 * high:.0f})[/dim]")
         table.add_row(
             evaluation.policy,
             *([evaluation.world] if len(worlds) > 1 else []),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import math
 import time
 from typing import Any, Literal
@@ -10,9 +11,11 @@ from typing import Any, Literal
 import torch
 from tensordict import TensorDict, TensorDictBase, TensorDictParams
 from tensordict.nn import TensorDictModule, dispatch
-from torch import Tensor
+from torch import Tensor, nn
 from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss, ValueEstimators, distance_loss
+
+from rl.networks import D3QN
 
 
 class D3QNLoss(DQNLoss):
@@ -113,43 +116,52 @@ class D3QNLoss(DQNLoss):
         keys = self.tensor_keys
         observation = [tensordict.get(key) for key in self.value_network.in_keys]
         next_observation = [tensordict.get(("next", key)) for key in self.value_network.in_keys]
+        online, target = self._networks_of_weights()
         with self._autocast(observation[0].device.type):
-            next_value = self._next_value(next_observation)
-            action_value = self._action_value(self.value_network_params, observation)
+            next_value = self._next_value(online, target, next_observation)
+            action_value = online(*observation)
 
         action = tensordict.get(keys.action)
         if action.ndim < action_value.ndim:
             action = action.unsqueeze(-1)
         chosen_value = action_value.gather(-1, action)
         with torch.no_grad():
-            target = self.value_estimator.value_estimate(tensordict, next_value=next_value)
-            tensordict.set(keys.priority, (chosen_value - target).square())
+            wanted_value = self.value_estimator.value_estimate(tensordict, next_value=next_value)
+            tensordict.set(keys.priority, (chosen_value - wanted_value).square())
             tensordict.set(keys.value, chosen_value.detach())
 
-        loss = distance_loss(chosen_value.squeeze(-1), target.squeeze(-1), self.loss_function)
+        loss = distance_loss(chosen_value.squeeze(-1), wanted_value.squeeze(-1), self.loss_function)
         weights = self._maybe_get_priority_weight(tensordict)
         loss = self._reduce_loss(loss, tensordict=tensordict, weights=weights)
         return TensorDict({"loss": loss})
 
-    def _next_value(self, observation: list[Tensor]) -> Tensor:
+    def _next_value(self, online: nn.Module, target: nn.Module, observation: list[Tensor]) -> Tensor:
         """What s' is worth, ``(B, 1)``."""
         with torch.no_grad():
-            if hasattr(self._network, "prepare"):
-                observation = self._network.prepare(*observation)
-            target_value = self._action_value(self.target_value_network_params, observation)
+            if isinstance(online, D3QN):
+                observation = list(online.prepare(*observation))
+            target_value = target(*observation)
             if not self.double_dqn:
                 return target_value.amax(-1, keepdim=True)
-            online_value = self._action_value(self.value_network_params, observation)
-            return target_value.gather(-1, online_value.argmax(-1, keepdim=True))
+            return target_value.gather(-1, online(*observation).argmax(-1, keepdim=True))
 
-    @property
-    def _network(self) -> Any:
-        return self.value_network.module[0].module
+    def _networks_of_weights(self) -> tuple[nn.Module, nn.Module]:
+        """Two networks that hold the loss's online and target weights themselves, not copies.
 
-    def _action_value(self, parameters: TensorDictParams, observation: list[Tensor]) -> Tensor:
-        """Action values, ``(B, actions)``, of the network with these parameters."""
-        with parameters["module", "0", "module"].to_module(self._network):
-            return self._network(*observation)
+        DQNLoss puts weights into one network before each call, and takes them out after it, which costs as much as a
+        convolution. TorchRL drops what is named ``_cache...`` when a loss gets other tensors, such as on a GPU.
+        """
+        if "_cache_networks" not in self.__dict__:
+            networks = []
+            for weights in (self.value_network_params, self.target_value_network_params):
+                network = copy.deepcopy(self.value_network.module[0].module)
+                weights["module", "0", "module"].to_module(network)
+                networks.append(network)
+            self.__dict__["_cache_networks"] = tuple(networks)
+        return self.__dict__["_cache_networks"]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_cache_networks"}  # a copy has its own
 
     def _autocast(self, device: str) -> contextlib.AbstractContextManager[object]:
         return contextlib.nullcontext() if self.autocast is None else torch.autocast(device, dtype=self.autocast)

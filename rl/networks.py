@@ -99,6 +99,7 @@ class SameConv2d(nn.Conv2d):
         super().__init__(
             in_channels, out_channels, kernel_size, stride, padding=(rows[0], columns[0]) if symmetric else 0
         )
+        self.weight.data = self.weight.data.contiguous(memory_format=torch.channels_last)
         self.output_size = (math.ceil(image_size[0] / stride), math.ceil(image_size[1] / stride))
         self._border = None if symmetric else (*columns, *rows)
 
@@ -136,8 +137,7 @@ class D3QN(nn.Module):
     torch.Size([2, 7])
     """
 
-    _rows: Tensor
-    _columns: Tensor
+    _coverage: Tensor
 
     def __init__(self, model: Model = "I", height: int = 64, width: int = 80) -> None:
         super().__init__()
@@ -167,9 +167,7 @@ class D3QN(nn.Module):
         self.reset_parameters()
 
         if model == "I":
-            kernel, stride = self.conv1.kernel_size, self.conv1.stride[0]
-            self.register_buffer("_rows", _coverage(height, kernel[0], stride), persistent=False)
-            self.register_buffer("_columns", _coverage(width, kernel[1], stride), persistent=False)
+            self.register_buffer("_coverage", _coverage(_CONVOLUTIONS[0], height, width), persistent=False)
 
     def reset_parameters(self) -> None:
         """Draws new weights from torch's global generator."""
@@ -256,21 +254,20 @@ class D3QN(nn.Module):
         return F.relu_(torch.addmm(self.streams.bias.unsqueeze(1), self.streams.weight, features.t()))
 
     def _plane_response(self) -> Tensor:
-        """Response of conv1's heading channel to a plane of ones, ``(1, 32, H', W')``.
-
-        Where the kernel hangs over the border, only the part of it that is inside counts, and that part is a rectangle.
-        """
-        with torch.autocast(self.conv1.weight.device.type, enabled=False):
-            kernel = self.conv1.weight[:, NUM_FRAMES]
-            response = self._rows @ kernel @ self._columns.t()
-        return response.unsqueeze(0).contiguous(memory_format=torch.channels_last)
+        """Response of conv1's heading channel to a plane of ones, ``(1, 32, H', W')`` with the channels last."""
+        kernel = self.conv1.weight[:, NUM_FRAMES].flatten(1)
+        response = self._coverage @ kernel.t()
+        return response.view(1, *self.conv1.output_size, -1).permute(0, 3, 1, 2)
 
 
-def _coverage(size: int, kernel: int, stride: int) -> Tensor:
-    """Which places of a kernel lie inside the image, along one axis: ``(places of output, places of kernel)``."""
-    first = torch.arange(math.ceil(size / stride)) * stride - same_padding(size, kernel, stride)[0]
-    place = first.unsqueeze(1) + torch.arange(kernel)
-    return ((place >= 0) & (place < size)).float()
+def _coverage(convolution: _Convolution, height: int, width: int) -> Tensor:
+    """Which places of a kernel lie inside the image: ``(H'·W', places of the kernel)``, 1 inside, 0 over the border."""
+    axes = []
+    for size, kernel in zip((height, width), convolution.kernel, strict=True):
+        first = torch.arange(math.ceil(size / convolution.stride)) * convolution.stride
+        place = first.unsqueeze(1) - same_padding(size, kernel, convolution.stride)[0] + torch.arange(kernel)
+        axes.append(((place >= 0) & (place < size)).float())
+    return torch.kron(*axes)
 
 
 def make_q_actor(model: Model = "I", height: int = 64, width: int = 80) -> QValueActor:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Iterable
 from typing import Any
 
 import torch
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.text import Text
 from tensordict import TensorDictBase
 
 RECENT_EPISODES = 200
@@ -132,13 +134,21 @@ class Clock:
         return (last_step - first_step) / max(last_second - first_second, 1e-9)
 
 
+class _StatusBelow(Progress):
+    """A progress bar with its task's status on a line of its own, as one line has no room for both."""
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        yield self.make_tasks_table(self.tasks)
+        for task in self.tasks:
+            yield Text(task.fields["status"])
+
+
 def progress_bar(console: Console | None) -> Progress:
-    """A bar with the share done, what the learner is like, its speed and the time left."""
-    return Progress(
+    """A bar with the share done, speed and time left; under it, what the learner is like."""
+    return _StatusBelow(
         TextColumn("[bold]training"),
         BarColumn(bar_width=None),
         TextColumn("{task.percentage:>3.0f}%"),
-        TextColumn("{task.fields[status]}"),
         TextColumn("{task.fields[speed]}"),
         TimeElapsedColumn(),
         TextColumn("left"),

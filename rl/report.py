@@ -78,7 +78,7 @@ def _evaluations(run: Run) -> list[Evaluation]:
 
 
 def _contents(run: Run, config: TrainConfig, world: World, evaluations: Sequence[Evaluation]) -> dict[str, Any]:
-    policy = evaluations[0]
+    policy, versions = evaluations[0], _versions(run)
     metrics, logged = run.metrics.rows(), run.evaluations.rows()
     low, high = (round(100 * bound) for bound in policy.interval("success"))
     unseen = config.eval_world not in config.world
@@ -104,7 +104,7 @@ def _contents(run: Run, config: TrainConfig, world: World, evaluations: Sequence
         "figures": list(_figures(run, config, world, evaluations, metrics, logged)),
         "seed": config.seed,
         "settings": list(_flat(config.to_dict())),
-        "versions": list(_flat(_versions(run))),
+        "versions": list(_flat(versions)),
     }
 
 

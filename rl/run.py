@@ -28,7 +28,11 @@ import torch
 
 from rl.config import TrainConfig
 
-METRICS = ["step", "episodes", "seconds", "steps_per_second", "success_rate", "collision_rate", "timeout_rate", "reward", "episode_length", "loss", "q_mean", "max_q", "epsilon", "learning_rate"]
+METRICS = [
+    *("step", "episodes", "seconds", "steps_per_second"),
+    *("success_rate", "collision_rate", "timeout_rate", "reward", "episode_length"),
+    *("loss", "q_mean", "max_q", "epsilon", "learning_rate"),
+]
 """Columns of metrics.csv."""
 EVALUATIONS = ["step", "seconds", "world", "success_rate", "collision_rate", "timeout_rate", "spl", "reward", "steps"]
 """Columns of evaluations.csv."""

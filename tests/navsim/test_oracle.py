@@ -78,7 +78,7 @@ def test_it_turns_first_when_it_faces_elsewhere(yaw_deg):
 
 @pytest.mark.parametrize(
     ("start", "yaw_deg", "goal"),
-    [((-2.5, 2.3), 0.0, (2.5, -2.4)), ((2.5, 2.2), 180.0, (-2.5, -2.4)), ((2.4, -2.2), 180.0, (-2.4, 2.2))],
+    [((-2.5, 2.3), 0.0, (2.5, -2.4)), ((2.4, -2.2), 180.0, (-2.4, 2.2))],
 )
 def test_a_maze_is_solved_about_as_short_as_can_be(start, yaw_deg, goal):
     world = make_world(MAZE, start=start, yaw_deg=yaw_deg, goal=goal)
@@ -124,10 +124,10 @@ def test_there_is_no_plan_into_a_closed_room():
 
 
 def test_there_is_no_plan_under_a_beam_that_the_depth_rule_forbids():
-    world = make_world([TOO_LOW_TO_SEE_UNDER], size=(4.0, 2.0), start=(-1.0, 0.0), goal=(1.0, 0.0))
-    task = Task(max_steps=22)  # 19 are enough
+    world = make_world([TOO_LOW_TO_SEE_UNDER], size=(4.0, 2.0), start=(-0.6, 0.0), goal=(1.0, 0.0))
+    task = Task(max_steps=15)  # 14 are enough
     assert planned(world, task=task) is None
-    bumper_only = Task(max_steps=22, collision_depth=0.0)
+    bumper_only = Task(max_steps=15, collision_depth=0.0)
     outcome, _ = drive(world, planned(world, task=bumper_only), task=bumper_only)
     assert outcome == "success"
 
@@ -151,14 +151,14 @@ def test_a_goal_that_the_start_lies_in_is_reached_in_one_step():
 
 
 def test_the_goal_wins_over_a_picture_that_is_too_near():
-    # The wall is nearer than 0.4 m from x = 2.687 on; steps of 0.08 m lead to 2.68 and 2.76.
-    world = make_world([], start=(1.0, 0.0), goal=(2.8, 0.0))
-    task = Task(goal_radius=0.1, max_steps=22)
+    # The wall is nearer than 0.4 m from x = 2.687 on; steps of 0.08 m lead to 2.64 and 2.72.
+    world = make_world([], start=(2.0, 0.0), goal=(2.8, 0.0))
+    task = Task(goal_radius=0.1, max_steps=9)
     outcome, places = drive(world, planned(world, task=task), task=task)
     assert outcome == "success"
     assert render_depth(world, np.array([[*places[-1], 0.0]])).min() < 0.4
     # A goal disc that begins at 2.77 is out of reach from there in a single step.
-    assert planned(world, task=Task(goal_radius=0.03, max_steps=23)) is None
+    assert planned(world, task=Task(goal_radius=0.03, max_steps=10)) is None
 
 
 def test_a_robot_that_accelerates_slowly_gets_a_plan_of_its_own():
@@ -173,10 +173,10 @@ def test_the_camera_decides_what_is_too_near():
     world = make_world(
         [{"box": {"at": [0.0, 0.0], "size": [0.1, 2.0], "base": 0.55, "height": 0.05}}],
         size=(4.0, 2.0),
-        start=(-1.0, 0.0),
+        start=(-0.6, 0.0),
         goal=(1.0, 0.0),
     )
-    task = Task(max_steps=22)
+    task = Task(max_steps=15)
     assert planned(world, task=task) is not None
     tall = DepthCamera(vertical_fov_deg=70.0)
     assert planned(world, task=task, camera=tall) is None
@@ -187,10 +187,10 @@ def test_depth_along_the_ray_is_what_counts_for_a_range_camera():
     world = make_world(
         [{"box": {"at": [0.0, 0.61], **side}}, {"box": {"at": [0.0, -0.61], **side}}],
         size=(4.0, 2.0),
-        start=(-1.2, 0.0),
+        start=(-0.8, 0.0),
         goal=(1.0, 0.0),
     )
-    task, camera = Task(max_steps=22), DepthCamera(depth="range")
+    task, camera = Task(max_steps=17), DepthCamera(depth="range")
     assert planned(world, task=task) is None
     outcome, _ = drive(world, planned(world, task=task, camera=camera), task=task, camera=camera)
     assert outcome == "success"

@@ -87,23 +87,25 @@ def test_tensors_handed_out_do_not_change_later():
     assert (second["depth"] == second_copy).all()
 
 
-def test_the_goal_terminates_and_the_time_limit_truncates():
-    reached = NavEnv(CORRIDOR, 1, camera=CAMERA, seed=0).rollout(
-        200, policy=lambda td: td.set("action", torch.tensor([1]))
-    )
-    end = reached[:, -1]["next"]
+def drive_fast(state):
+    return state.set("action", torch.tensor([1]))
+
+
+def test_the_goal_terminates():
+    end = NavEnv(CORRIDOR, 1, camera=CAMERA, seed=0).rollout(200, policy=drive_fast)[:, -1]["next"]
     assert end["success"].item()
     assert end["terminated"].item()
     assert end["done"].item()
     assert not end["truncated"].item()
     assert end["reward"].item() == 1.0
 
-    late = NavEnv(CORRIDOR, 1, camera=CAMERA, task=Task(max_steps=7), seed=0)
-    end = late.rollout(200, policy=fast)
-    assert end.shape[1] == 7
-    assert end[:, -1]["next", "truncated"].item()
-    assert end[:, -1]["next", "done"].item()
-    assert not end[:, -1]["next", "terminated"].item()
+
+def test_the_time_limit_truncates():
+    driven = NavEnv(CORRIDOR, 1, camera=CAMERA, task=Task(max_steps=7), seed=0).rollout(200, policy=drive_fast)
+    assert driven.shape[1] == 7
+    assert driven[:, -1]["next", "truncated"].item()
+    assert driven[:, -1]["next", "done"].item()
+    assert not driven[:, -1]["next", "terminated"].item()
 
 
 def test_same_seed_same_rollout_and_another_seed_another():

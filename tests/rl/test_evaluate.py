@@ -282,8 +282,8 @@ def test_the_table_shows_rates_with_their_intervals():
     screen.print(comparison_table([Evaluation("mine", "hall", 0, paths), Evaluation("yours", "hall", 0, paths[:1])]))
     text = screen.file.getvalue()
     assert "hall" in text
-    assert "50 (9 to 91)" in text
-    assert "100 (21 to 100)" in text
+    assert "50 (9–91)" in text
+    assert "100 (21–100)" in text
     assert "0.38" in text
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+import pickle
 
 import pytest
 import torch
@@ -243,6 +245,20 @@ def test_state_dict_restores_online_and_target_network():
     other.load_state_dict(ours.state_dict())
     data = transitions(8)
     torch.testing.assert_close(other(data.clone())["loss"], ours(data)["loss"])
+
+
+def test_copies_and_conversions_keep_weights_and_loss_together():
+    ours, _ = make_losses("I")
+    data = transitions(8)
+    expected = ours(data)["loss"]
+    for other in (copy.deepcopy(ours), pickle.loads(pickle.dumps(ours))):
+        torch.testing.assert_close(other(data)["loss"], expected)
+        for weights in (other.value_network_params, other.target_value_network_params):
+            weights["module", "0", "module", "advantage", "bias"].data.add_(torch.arange(7.0))
+            changed = other(data)["loss"]
+            assert not torch.isclose(changed, expected)
+        torch.testing.assert_close(ours(data)["loss"], expected)
+    torch.testing.assert_close(ours.double()(data)["loss"].float(), expected, rtol=1e-3, atol=1e-4)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
