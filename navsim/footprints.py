@@ -261,7 +261,7 @@ def _near_in_rows(
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Pairs of boxes with other boxes, of ``corner`` ``(M, 2)`` and at most ``extent``, that may overlap them."""
     origin, span = corner.min(axis=0), np.ptp(corner, axis=0)
-    height = max(extent, span[1] / math.sqrt(len(corner)), np.finfo(np.float64).tiny)
+    height = max(extent, span[1] / math.sqrt(len(corner))) or 1.0
     # A row and an x in it become one number; the slack makes up for what that number rounds off.
     stride = 2.0 * (span[0] + extent) + 1.0
     slack = 1e-9 * (stride * (span[1] / height + 1.0) + extent + np.abs(corner).max())

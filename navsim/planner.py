@@ -183,14 +183,14 @@ class FreeSpace:
     """
 
     def __init__(self, world: World, robot_radius: float, robot_height: float) -> None:
-        blocking = [p for p in world.prisms if p.obstacle >= 0 and p.overlaps_heights(0.0, robot_height)]
+        self.blocking = [p for p in world.prisms if p.obstacle >= 0 and p.overlaps_heights(0.0, robot_height)]
+        """The prisms in the robot's way, without the walls."""
         margin = OPEN_FLOOR_MARGIN if world.walls is None else -robot_radius
         self.robot_radius = robot_radius
         self.half_extents = world.half_size + margin
         """``(2,)``: the robot's centre stays within these of the origin along x and y, metres."""
-        self.obstacles = Footprints.of(blocking)
-        """What stands in the robot's way, without the walls."""
-        self._blocking = blocking
+        self.obstacles = Footprints.of(self.blocking)
+        """Their footprints."""
         self._clear = self.obstacles.radius + robot_radius - CONTACT
         self._graphs: dict[float, TangentGraph] = {}
         self._grids: dict[float, _Grid] = {}
@@ -272,7 +272,7 @@ class FreeSpace:
         ):
             corners = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
             rims.append(Prism("rim", -1, 0.0, 1.0, corners))
-        return Chains(Footprints.of([*self._blocking, *rims]), r)
+        return Chains(Footprints.of([*self.blocking, *rims]), r)
 
 
 _SPACES: WeakKeyDictionary[World, dict[tuple[float, float], FreeSpace]] = WeakKeyDictionary()

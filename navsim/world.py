@@ -109,6 +109,10 @@ class Box(_Obstacle):
     yaw_deg: Degrees = 0.0
     """Degrees, counter-clockwise."""
 
+    def points_in_room(self) -> list[tuple[tuple[str | int, ...], Point]]:
+        """The points that must lie in the room, each with the keys that lead to it."""
+        return [(("at",), self.at)]
+
     def footprints(self) -> list[tuple[np.ndarray, float]]:
         """Convex footprints: vertices ``(V, 2)``, metres, and radius, metres."""
         yaw = math.radians(self.yaw_deg)
@@ -129,6 +133,10 @@ class Cylinder(_Obstacle):
     """Centre of the footprint, metres."""
     radius: Length
     """Metres."""
+
+    def points_in_room(self) -> list[tuple[tuple[str | int, ...], Point]]:
+        """The points that must lie in the room, each with the keys that lead to it."""
+        return [(("at",), self.at)]
 
     def footprints(self) -> list[tuple[np.ndarray, float]]:
         """Convex footprints: vertices ``(V, 2)``, metres, and radius, metres."""
@@ -159,6 +167,10 @@ class Polygon(_Obstacle):
         if abs(signed_area(points)) < SMALLEST_LENGTH**2:
             raise ValueError("the points lie on one line; move one of them off it")
         return points
+
+    def points_in_room(self) -> list[tuple[tuple[str | int, ...], Point]]:
+        """The points that must lie in the room, each with the keys that lead to it."""
+        return [(("points", i), point) for i, point in enumerate(self.points)]
 
     def footprints(self) -> list[tuple[np.ndarray, float]]:
         """Convex footprints: vertices ``(V, 2)``, metres, and radius, metres."""
@@ -542,7 +554,9 @@ def _word(where: tuple[str | int, ...], detail: Mapping[str, Any]) -> Problem:
     if kind in ("tuple_type", "too_short", "too_long"):
         wanted = f"'{example}'" if where[-1] in ("points", "path") else "two numbers such as [1.0, 2.0]"
         return Problem(where, f"must be {wanted}, not {shown}")
-    if kind == "string_type":
+    if kind == "invalid_key":
+        return Problem(where[:-1] if where and where[-1] == value else where, f"a key must be a word, not {shown}")
+    if kind in ("string_type", "string_unicode"):
         return Problem(where, f"must be text, not {shown}; put it in quotes")
     if kind == "string_too_short":
         return Problem(where, "is empty; write a name or leave the key out")

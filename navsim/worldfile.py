@@ -30,7 +30,18 @@ LARGEST_FILE = 64 * 2**20
 """Bytes."""
 
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-_Dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+
+class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]
+    """Quotes the words that this reader would take for numbers, as PyYAML's own YAML 1.1 does not do for ``1e5``."""
+
+
+def _quoted_where_needed(dumper: Any, text: str) -> Any:
+    is_plain = text.isprintable() and isinstance(_resolved(text), str)
+    return dumper.represent_scalar(_TAG + "str", text, style=None if is_plain else '"')
+
+
+_Dumper.add_representer(str, _quoted_where_needed)
 
 
 def _shipped_worlds_directory() -> Path:
@@ -184,6 +195,8 @@ class _Document:
         self.problems: list[_Located] = []
         """What is wrong with the text as YAML, where reading could go on."""
         self._source = source
+        self._blank: set[tuple[str | int, ...]] = set()
+        """Keys without a value; whatever else is wrong with them follows from that."""
         self._marks: dict[int, Any] = {}
         """By the ``id`` of a mapping: {key: (mark of the key, mark of the value)}; of a list: [mark of each entry]."""
         self._anchors: dict[str, tuple[object, int]] = {}
@@ -199,7 +212,8 @@ class _Document:
 
     def refuse(self, problems: list[Problem]) -> NoReturn:
         """Raises a :class:`WorldError` of ``problems`` and of what is wrong with the text itself, in its order."""
-        located = sorted({*self.problems, *(self._located(problem) for problem in problems)})
+        told = (self._located(problem) for problem in problems if problem.where not in self._blank)
+        located = sorted({*self.problems, *told})
         raise WorldError([f"{self._source}:{line}:{column}: {text}" for line, column, text in located])
 
     def _located(self, problem: Problem) -> _Located:
@@ -280,6 +294,7 @@ class _Document:
             value = self._read(value_event)
             if value is None and _is_blank(value_event):
                 self._report(event, "has no value; write one after the colon, or leave the key out")
+                self._blank.add(tuple(self._path))
             if key == "<<":
                 merges.append((event, value))
             elif key in values:

@@ -68,7 +68,11 @@ def run(console: Console, *, num_threads: int = 1, seconds: float = _SECONDS_A_R
         settings, "learning", console=console, transient=True, disable=not console.is_terminal
     ):
         measured.append(_compare(size, number_format, peaks[number_format], seconds))
-    console.print(_table(measured, peaks, num_threads))
+    threads = "one thread" if num_threads == 1 else f"{num_threads} threads"
+    rates = ", ".join(f"{rate / 1e9:,.0f} GFLOP/s in {number_format}" for number_format, rate in peaks.items())
+    console.print(f"[bold]updates a second[/bold] of model I, 80x64, {threads}, {processor()}")
+    console.print(_table(measured))
+    console.print(f"bound: the peer's operations at the speed of {_MATRIX}x{_MATRIX} matrix products here, {rates}")
     return measured
 
 
@@ -198,13 +202,8 @@ def _matmul_rate(number_format: NumberFormat, seconds: float) -> float:
     return 2.0 * _MATRIX**3 * max(_rate(lambda: a @ b, seconds / 2) for _ in range(4))
 
 
-def _table(measured: list[Measurement], peaks: dict[NumberFormat, float], num_threads: int) -> Table:
-    threads = "one thread" if num_threads == 1 else f"{num_threads} threads"
-    rates = ", ".join(f"{rate / 1e9:,.0f} GFLOP/s in {number_format}" for number_format, rate in peaks.items())
-    table = Table(
-        title=f"updates a second, 80x64, model I, {threads}, {processor()}",
-        caption=f"bound: the peer's operations at the speed of {_MATRIX}x{_MATRIX} matrix products here, {rates}",
-    )
+def _table(measured: list[Measurement]) -> Table:
+    table = Table()
     for heading in ("batch", "format", "D3QNLoss", "TorchRL's DQNLoss", "ratio", "bound"):
         table.add_column(heading, justify="left" if heading == "format" else "right")
     for row in measured:

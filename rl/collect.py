@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+
+import torch
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.collectors import BaseCollector, Collector
 from torchrl.modules import EGreedyModule
@@ -43,15 +46,22 @@ def training_worlds(config: TrainConfig) -> list[World]:
 def explorer(actor: TensorDictModuleBase, env: NavEnv, config: TrainConfig) -> TensorDictSequential:
     """The policy that collects: greedy, but for a share of random actions.
 
-    That share, the last module's ``eps``, falls with every ``step`` of that module, once a batch.
+    That share, ``eps`` of the last module, falls with every ``step`` of that module, once a batch. It is a number for
+    each robot, ``(N,)``: with ``epsilon_least``, their descents end at different shares (Horgan et al. 2018, Ape-X,
+    arXiv 1803.00933).
     """
-    batches = max(1, round(config.epsilon_steps / config.steps_per_batch))
+    last = torch.full((config.num_envs,), config.epsilon_end)
+    if config.epsilon_least is not None:
+        last = torch.logspace(math.log10(config.epsilon_end), math.log10(config.epsilon_least), config.num_envs)
     exploration = EGreedyModule(
         env.action_spec,
         eps_init=float(config.epsilon_start),
         eps_end=float(config.epsilon_end),
-        annealing_num_steps=batches,
+        annealing_num_steps=max(1, round(config.epsilon_steps / config.steps_per_batch)),
     )
+    exploration.eps_end = last
+    exploration.eps_init = torch.full_like(last, config.epsilon_start)
+    exploration.eps = exploration.eps_init.clone()
     return TensorDictSequential(actor, exploration)
 
 

@@ -62,8 +62,11 @@ class Exploration:
 
     epsilon_start: float = 1.0
     """Share of random actions at the beginning."""
-    epsilon_end: float = 0.02
+    epsilon_end: float = 0.3
     """Share of random actions at the end of the descent."""
+    epsilon_least: float | None = 0.001
+    """Each robot's descent ends at a share of its own, evenly spaced on a logarithmic scale from --epsilon-end down to
+    this one, so that some explore and some show what the policy does; None ends all at --epsilon-end."""
     epsilon_steps: int = 50_000
     """Transitions over which the share of random actions falls linearly."""
 
@@ -88,8 +91,15 @@ class Learning:
     """Adam's step size."""
     learning_rate_decay: Literal["none", "cosine"] = "cosine"
     """How the learning rate falls over the run: not at all, or to zero along half a cosine."""
-    loss_function: Literal["l2", "smooth_l1"] = "smooth_l1"
-    """Penalty of the temporal-difference error: mean squared, or Huber's."""
+    loss_function: Literal["l2", "smooth_l1", "categorical"] = "categorical"
+    """Penalty of the temporal-difference error: mean squared, Huber's, or the cross-entropy of a distribution of
+    returns (C51), which the network then predicts in place of their mean."""
+    atoms: int = 51
+    """Returns that a categorical loss tells apart."""
+    least_return: float = -1.5
+    """The least of them: the collision's reward and some to spare."""
+    greatest_return: float = 2.5
+    """The greatest of them: 1/(1 - gamma) times the reward of a step at full speed towards the goal, about."""
     max_grad_norm: float | None = 10.0
     """Norm that gradients are clipped to; None leaves them."""
     target_update: Literal["soft", "hard"] = "soft"
@@ -156,6 +166,15 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
             yield "--world needs at least one world file or name"
         if self.epsilon_end > self.epsilon_start:
             yield f"--epsilon-end ({self.epsilon_end}) must not exceed --epsilon-start ({self.epsilon_start})"
+        if self.epsilon_least is not None and not 0.0 < self.epsilon_least <= self.epsilon_end:
+            yield (
+                f"--epsilon-least ({self.epsilon_least}) must lie between 0 and --epsilon-end ({self.epsilon_end}), "
+                "or be None"
+            )
+        if self.loss_function == "categorical" and self.atoms < 2:
+            yield f"--atoms must be at least 2; got {self.atoms}"
+        if not self.least_return < self.greatest_return:
+            yield f"--least-return ({self.least_return}) must be below --greatest-return ({self.greatest_return})"
         if self.steps_per_batch % max(self.num_envs, 1):
             yield (
                 f"--steps-per-batch ({self.steps_per_batch}) must be a multiple of --num-envs ({self.num_envs}): "
@@ -235,5 +254,6 @@ PRESETS: dict[str, TrainConfig] = {
         max_grad_norm=None,
         tau=0.001,
         epsilon_end=0.01,
+        epsilon_least=None,
     ),
 }

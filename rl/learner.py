@@ -7,8 +7,10 @@ from typing import Any
 
 import torch
 from tensordict import TensorDictBase
+from torchrl.modules import QValueActor
 from torchrl.objectives import HardUpdate, SoftUpdate
 
+from rl.categorical import CategoricalD3QNLoss, make_categorical_actor
 from rl.config import TrainConfig
 from rl.loss import D3QNLoss, fastest_autocast
 from rl.networks import make_q_actor
@@ -23,13 +25,8 @@ class Learner:
 
     def __init__(self, config: TrainConfig) -> None:
         self.config = config
-        self.actor = make_q_actor(config.model, config.camera.height, config.camera.width)
-        self.loss = D3QNLoss(
-            self.actor,
-            gamma=config.gamma,
-            loss_function=config.loss_function,
-            autocast=number_format(config.autocast),
-        )
+        self.actor = make_actor(config)
+        self.loss = make_loss(self.actor, config)
         if config.target_update == "soft":
             self.target_updater = SoftUpdate(self.loss, tau=config.tau)
         else:
@@ -89,6 +86,23 @@ class Learner:
         if hasattr(self.target_updater, "counter"):
             self.target_updater.counter = state_dict["target_updater"]
         self.updates = state_dict["updates"]
+
+
+def make_actor(config: TrainConfig) -> QValueActor:
+    """A new network as the settings describe it, as a greedy policy."""
+    height, width = config.camera.height, config.camera.width
+    if config.loss_function == "categorical":
+        returns = (config.least_return, config.greatest_return)
+        return make_categorical_actor(config.model, height, width, atoms=config.atoms, value_range=returns)
+    return make_q_actor(config.model, height, width)
+
+
+def make_loss(actor: QValueActor, config: TrainConfig) -> D3QNLoss:
+    """The loss that the settings name, for an actor from ``make_actor``."""
+    autocast = number_format(config.autocast)
+    if config.loss_function == "categorical":
+        return CategoricalD3QNLoss(actor, config.gamma, autocast=autocast)
+    return D3QNLoss(actor, config.gamma, loss_function=config.loss_function, autocast=autocast)
 
 
 def number_format(setting: str) -> torch.dtype | None:

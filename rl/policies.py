@@ -11,7 +11,7 @@ from torchrl.modules import QValueActor
 
 from rl.baselines import BASELINES, Baseline, make_baseline
 from rl.config import TrainConfig
-from rl.networks import make_q_actor
+from rl.learner import make_actor
 from rl.run import Run, RunError
 
 
@@ -49,7 +49,7 @@ def load_policy(run_directory: str | os.PathLike[str]) -> QValueActor:
     """
     run = Run.open(Path(run_directory))
     config = run.config
-    actor = make_q_actor(config.model, config.camera.height, config.camera.width)
+    actor = make_actor(config)
     weights = run.load_policy("policy")
     misfit = _misfit(actor.state_dict(), weights)
     if misfit:

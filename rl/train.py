@@ -102,7 +102,7 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
 
             progress.seconds = clock.seconds
             speed = clock.tick(progress.step)
-            status = f"{progress.status()}  ε {float(exploration.eps):.2f}"
+            status = f"{progress.status()}  ε {float(exploration.eps.mean()):.2f}"
             bar.update(shown, completed=progress.step, status=status, speed=f"{speed:,.0f} steps/s")
             if log_due(progress.step):
                 logs.metrics(
@@ -110,7 +110,7 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
                     | {
                         "steps_per_second": speed,
                         "max_q": _mean_max_q(learner, probe),
-                        "epsilon": float(exploration.eps),
+                        "epsilon": float(exploration.eps.mean()),
                         "learning_rate": learner.learning_rate,
                     }
                 )

@@ -163,7 +163,7 @@ def test_a_run_keeps_its_settings(finished, capsys):
     assert "begun with other settings (model, gamma)" in told(capsys)
 
 
-def test_an_interrupted_run_says_how_to_go_on_and_goes_on(room, tmp_path):
+def test_an_interrupted_run_says_how_to_go_on(room, tmp_path):
     endless = [*training(room, Path("run")), "--total-steps", "1000000", "--no-report"]
     training_process = process(endless, tmp_path)
     try:
@@ -176,6 +176,23 @@ def test_an_interrupted_run_says_how_to_go_on_and_goes_on(room, tmp_path):
     assert training_process.returncode == 130
     assert "navsim train --resume --out run" in stderr
     assert "Traceback" not in stderr
+
+
+def test_resuming_goes_on_with_the_settings_that_a_run_was_begun_with(finished, monkeypatch):
+    trained = []
+    monkeypatch.setattr("rl.train.train", lambda config, **named: trained.append((config, named["resume"])))
+    monkeypatch.setattr("rl.finish.finish", lambda run, console: None)
+    assert main(["train", "--resume", "--out", str(finished), "--batch-size", "16"]) == 0
+    ((config, resume),) = trained
+    assert resume
+    assert config == TrainConfig.from_dict(json.loads((finished / "config.json").read_text()))
+
+
+def test_resuming_begins_a_run_where_there_is_none(tmp_path, monkeypatch):
+    trained = []
+    monkeypatch.setattr("rl.train.train", lambda config, **named: trained.append((config, named["resume"])))
+    assert main(["train", "--preset", "thesis", "--resume", "--no-report", "--out", str(tmp_path / "new")]) == 0
+    assert trained == [(dataclasses.replace(PRESETS["thesis"], report=False, out=tmp_path / "new"), False)]
 
 
 def wait_for(condition, seconds: float) -> None:

@@ -18,7 +18,15 @@ from rl.env import NavEnv
 from rl.networks import make_q_actor
 
 CAMERA = DepthCamera(width=20, height=12)
-CONFIG = replace(PRESETS["fast"], camera=CAMERA, num_envs=4, steps_per_batch=32, epsilon_steps=320)
+CONFIG = replace(
+    PRESETS["fast"],
+    camera=CAMERA,
+    num_envs=4,
+    steps_per_batch=32,
+    epsilon_steps=320,
+    epsilon_end=0.02,
+    epsilon_least=None,
+)
 
 
 def test_batches_continue_from_one_to_the_next():
@@ -46,11 +54,26 @@ def test_the_share_of_random_actions_falls_linearly():
     assert share() == pytest.approx(6 / 7, abs=0.05)  # one random action in seven is the greedy one
     for _ in range(5):
         exploration.step()
-    assert float(exploration.eps) == pytest.approx(0.5 * (1.0 + CONFIG.epsilon_end), abs=1e-6)
+    assert exploration.eps.tolist() == pytest.approx([0.5 * (1.0 + CONFIG.epsilon_end)] * 4, abs=1e-6)
     for _ in range(20):
         exploration.step()
-    assert float(exploration.eps) == pytest.approx(CONFIG.epsilon_end)
+    assert exploration.eps.tolist() == pytest.approx([CONFIG.epsilon_end] * 4)
     assert share() < 0.06
+
+
+def test_each_robot_may_end_at_a_share_of_its_own():
+    config = replace(CONFIG, epsilon_end=0.8, epsilon_least=0.0008)
+    env = make_env(config)
+    policy = explorer(make_q_actor("I", 12, 20), env, config)
+    for _ in range(10):
+        policy[-1].step()
+    assert policy[-1].eps.tolist() == pytest.approx([0.8, 0.08, 0.008, 0.0008], rel=1e-3)
+    state = env.reset()
+    greedy = policy[0](state.clone())["action"]
+    torch.manual_seed(0)
+    with set_exploration_type(ExplorationType.RANDOM):
+        differs = torch.stack([policy(state.clone())["action"] != greedy for _ in range(600)]).float().mean(0)
+    assert differs.tolist() == pytest.approx([0.8 * 6 / 7, 0.08 * 6 / 7, 0.008, 0.0], abs=0.05)
 
 
 def test_training_paths_are_drawn_anywhere_unless_listed_ones_are_asked_for():

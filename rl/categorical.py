@@ -1,0 +1,178 @@
+"""A distribution of returns in place of their mean (C51): the dueling network's categorical head, and its loss.
+
+Bellemare, Dabney and Munos, *A Distributional Perspective on Reinforcement Learning*, 2017 (arXiv 1707.06887): the
+network tells, for each action, the probabilities of a fixed row of returns, the *atoms*. Its Q-value is their mean.
+The target distribution is moved by the reward, shrunk by the discount, and cast back onto the atoms; the loss is the
+cross-entropy with it. Classifying returns gives gradients that do not grow with the error, which the blunt values that
+a squared error leaves beside obstacles profit from.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import dispatch
+from torch import Tensor, nn
+from torchrl.data import Categorical
+from torchrl.modules import QValueActor
+
+from navsim.robot import NUM_ACTIONS
+from rl.loss import D3QNLoss
+from rl.networks import D3QN, STREAM_WIDTH, Model
+
+
+class CategoricalD3QN(D3QN):
+    """``D3QN`` whose streams end in distributions over returns; it is called like ``D3QN`` and yields Q-values.
+
+    Args:
+        model: ``"I"`` or ``"S"``, see ``D3QN``.
+        height: of the depth images, pixels.
+        width: of the depth images, pixels.
+        atoms: returns that are told apart, at least 2.
+        value_range: the least and the greatest of them; they are evenly spaced.
+
+    Raises:
+        ValueError: as ``D3QN``, and for fewer than two atoms or an empty range.
+
+    >>> network = CategoricalD3QN("S", height=10, width=14, atoms=5, value_range=(-1.0, 1.0))
+    >>> network.logits(torch.zeros(2, 4, 10, 14, dtype=torch.uint8), torch.zeros(2, 1)).shape
+    torch.Size([2, 7, 5])
+    """
+
+    support: Tensor
+
+    def __init__(
+        self,
+        model: Model = "I",
+        height: int = 64,
+        width: int = 80,
+        *,
+        atoms: int = 51,
+        value_range: tuple[float, float] = (-1.5, 2.5),
+    ) -> None:
+        if atoms < 2 or not value_range[0] < value_range[1]:
+            raise ValueError(
+                f"a categorical head needs at least 2 atoms in a range of returns from less to more; got {atoms} atoms "
+                f"from {value_range[0]} to {value_range[1]}"
+            )
+        super().__init__(model, height, width)
+        self.value = nn.Linear(STREAM_WIDTH, atoms)
+        self.advantage = nn.Linear(STREAM_WIDTH, NUM_ACTIONS * atoms)
+        self.reset_parameters()
+        self.register_buffer("support", torch.linspace(*value_range, atoms), persistent=False)
+
+    def logits(self, depth: Tensor, heading: Tensor) -> Tensor:
+        """Unnormalised logarithms of the probabilities, ``(..., 7, atoms)``, for what ``forward`` takes."""
+        if not depth.is_floating_point():
+            depth, heading = self.prepare(depth, heading)
+        leading = depth.shape[:-3]
+        hidden = self._hidden(depth.reshape(-1, *depth.shape[-3:]), heading.reshape(-1, 1))
+        with torch.autocast(hidden.device.type, enabled=False):
+            hidden = hidden.to(self.value.weight.dtype).t()
+            value = self.value(hidden[:, :STREAM_WIDTH]).unsqueeze(1)
+            advantage = self.advantage(hidden[:, STREAM_WIDTH:]).unflatten(1, (NUM_ACTIONS, -1))
+            logits = value + advantage - advantage.mean(1, keepdim=True)
+        return logits.reshape(*leading, NUM_ACTIONS, -1)
+
+    def expectation(self, logits: Tensor) -> Tensor:
+        """Q-values ``(..., 7)`` of ``logits`` ``(..., 7, atoms)``."""
+        return logits.softmax(-1) @ self.support
+
+    def forward(self, depth: Tensor, heading: Tensor) -> Tensor:
+        """Action values, ``(..., 7)``; see ``D3QN.forward``."""
+        return self.expectation(self.logits(depth, heading))
+
+
+def make_categorical_actor(
+    model: Model = "I",
+    height: int = 64,
+    width: int = 80,
+    *,
+    atoms: int = 51,
+    value_range: tuple[float, float] = (-1.5, 2.5),
+) -> QValueActor:
+    """``rl.make_q_actor`` with a categorical head; arguments and errors as for ``CategoricalD3QN``."""
+    network = CategoricalD3QN(model, height, width, atoms=atoms, value_range=value_range)
+    return QValueActor(network, in_keys=["depth", "heading"], spec=Categorical(NUM_ACTIONS))
+
+
+def project(probabilities: Tensor, returns: Tensor, support: Tensor) -> Tensor:
+    """Casts distributions back onto the atoms: each return's probability is shared between its two neighbours.
+
+    Equation 7 of Bellemare et al. 2017, as the overlap of triangles.
+
+    Args:
+        probabilities: ``(B, K)``.
+        returns: ``(B, K)``, where the probabilities lie; beyond the support, they are put on its ends.
+        support: ``(K,)``, evenly spaced and rising.
+
+    Returns:
+        ``(B, K)`` probabilities of the atoms.
+
+    >>> project(torch.tensor([[1.0, 0.0, 0.0]]), torch.tensor([[0.25, 1.0, 2.0]]), torch.tensor([0.0, 1.0, 2.0]))
+    tensor([[0.7500, 0.2500, 0.0000]])
+    """
+    spacing = support[1] - support[0]
+    distance = returns.clamp(support[0], support[-1]).unsqueeze(-1) - support
+    shares = (1.0 - distance.abs() / spacing).clamp_min(0.0)
+    return (probabilities.unsqueeze(1) @ shares).squeeze(1)
+
+
+class CategoricalD3QNLoss(D3QNLoss):
+    """The cross-entropy of C51 for a ``CategoricalD3QN``, double and with all that ``D3QNLoss`` does around it.
+
+    TorchRL's ``DistributionalDQNLoss`` computes the same number (a test compares them) from another kind of actor; here
+    the actor stays a ``QValueActor``, so that everything else of ``D3QNLoss`` and of this library fits it.
+
+    ``td_error``, the priority of prioritised replay, is the cross-entropy, as in TorchRL's.
+
+    Args:
+        q_actor: a ``QValueActor`` around a ``CategoricalD3QN``.
+        gamma: discount a step.
+
+    Keyword Args: as for ``D3QNLoss``, without ``loss_function``.
+
+    Raises:
+        ValueError: for an actor around another network.
+    """
+
+    def __init__(self, q_actor: QValueActor, gamma: float = 0.99, **settings: Any) -> None:
+        super().__init__(q_actor, gamma, **settings)
+        network = q_actor.module[0].module
+        if not isinstance(network, CategoricalD3QN):
+            raise ValueError(f"CategoricalD3QNLoss needs a CategoricalD3QN in its actor; got {type(network).__name__}")
+
+    @dispatch
+    def forward(self, tensordict: TensorDictBase) -> TensorDict:
+        """The loss of a batch of transitions; see ``D3QNLoss.forward``."""
+        keys = self.tensor_keys
+        observation = [tensordict.get(key) for key in self.value_network.in_keys]
+        next_observation = [tensordict.get(("next", key)) for key in self.value_network.in_keys]
+        online, target = self._networks_of_weights()
+        assert isinstance(online, CategoricalD3QN)
+        assert isinstance(target, CategoricalD3QN)
+        with self._autocast(observation[0].device.type):
+            with torch.no_grad():
+                prepared = online.prepare(*next_observation)
+                target_logits = target.logits(*prepared)
+                choosing_logits = online.logits(*prepared) if self.double_dqn else target_logits
+            logits = online.logits(*observation)
+
+        rows = torch.arange(len(logits), device=logits.device)
+        action = tensordict.get(keys.action).reshape(-1)
+        with torch.no_grad():
+            best = online.expectation(choosing_logits).argmax(-1)
+            reward = tensordict.get(("next", keys.reward))
+            terminated = tensordict.get(("next", keys.terminated))
+            steps = tensordict.get("steps_to_next_obs", torch.ones_like(reward))
+            discount = self.value_estimator.gamma ** steps.reshape(reward.shape) * ~terminated
+            returns = reward + discount * online.support
+            wanted = project(target_logits[rows, best].softmax(-1), returns, online.support)
+            tensordict.set(keys.value, online.expectation(logits)[rows, action].unsqueeze(-1))
+
+        cross_entropy = -(wanted * logits[rows, action].log_softmax(-1)).sum(-1)
+        tensordict.set(keys.priority, cross_entropy.detach().unsqueeze(-1))
+        weights = self._maybe_get_priority_weight(tensordict)
+        return TensorDict({"loss": self._reduce_loss(cross_entropy, tensordict=tensordict, weights=weights)})
