@@ -40,5 +40,6 @@ def key_path(where: Sequence[str | int]) -> str:
     """
     text = ""
     for part in where:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
+        key = part if isinstance(part, int) or part.isprintable() else repr(part)[1:-1]
+        text += f"[{key}]" if isinstance(key, int) else f".{key}" if text else key
     return text

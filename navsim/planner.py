@@ -10,7 +10,6 @@ import math
 from collections.abc import Sequence
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -275,16 +274,12 @@ class FreeSpace:
         return Chains(Footprints.of([*self.blocking, *rims]), r)
 
 
-_SPACES: WeakKeyDictionary[World, dict[tuple[float, float], FreeSpace]] = WeakKeyDictionary()
-
-
 def free_space(world: World, robot_radius: float, robot_height: float) -> FreeSpace:
     """The free space of a robot in ``world``; made once for each world and size of robot."""
     size = (_positive(robot_radius, "robot_radius"), _positive(robot_height, "robot_height"))
-    spaces = _SPACES.setdefault(world, {})
-    if size not in spaces:
-        spaces[size] = FreeSpace(world, *size)
-    return spaces[size]
+    if (FreeSpace, size) not in world.derived:
+        world.derived[FreeSpace, size] = FreeSpace(world, *size)
+    return world.derived[FreeSpace, size]
 
 
 class _Grid:

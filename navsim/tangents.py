@@ -304,7 +304,7 @@ def _tangents(discs: _Discs, tail: np.ndarray, head: np.ndarray) -> _Segments:
                 discs.centre[t] - tail_side * discs.radius[t] * left,
                 discs.centre[h] - head_side * discs.radius[h] * left,
             )
-            found.append(segments.where((beside_tail & beside_head).all(axis=0)))
+            found.append(segments.where(np.logical_and.reduce(np.concatenate([beside_tail, beside_head]))))
     return _joined(*found)
 
 

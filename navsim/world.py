@@ -201,20 +201,20 @@ def _point_as_settings(value: object) -> object:
     return {"at": value} if isinstance(value, (list, tuple)) else value
 
 
-class Start(_Settings):
-    """Where an episode begins."""
-
+class _Place(_Settings):
     at: Point
     """Metres."""
+
+
+class Start(_Place):
+    """Where an episode begins."""
+
     yaw_deg: Degrees | None = None
     """Degrees, counter-clockwise from the x axis; None draws it each episode."""
 
 
-class Goal(_Settings):
+class Goal(_Place):
     """Where an episode is to end."""
-
-    at: Point
-    """Metres."""
 
 
 def _random_or_list(value: object) -> object:
@@ -310,7 +310,7 @@ class World(_Settings):
     @classmethod
     def _is_a_list(cls, value: object) -> object:
         if not isinstance(value, (list, tuple)):
-            raise ValueError(f"must be a list with one shape an entry, such as '- {_EXAMPLES['box']}'")
+            raise ValueError(f"must be a list with one shape an entry, such as '- {_EXAMPLES['obstacles']}'")
         return value
 
     @field_validator("obstacles")
@@ -381,6 +381,11 @@ class World(_Settings):
             vertices.flags.writeable = False
             yield Prism(f"wall {side}", -1, 0.0, self.walls.height, vertices)
 
+    @cached_property
+    def derived(self) -> dict[Any, Any]:
+        """What other modules work out of this world once and keep with it; neither compared nor pickled."""
+        return {}
+
     @property
     def half_size(self) -> np.ndarray:
         """``(2,)``: the room is ``-half_size <= (x, y) <= half_size``, metres."""
@@ -402,6 +407,13 @@ class World(_Settings):
         if isinstance(self.starts, str) or isinstance(self.goals, str):
             return ()
         return tuple((i, j) for i in range(len(self.starts)) for j in range(len(self.goals)))
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """A copy with the fields of ``update``, unchecked; derived values are left behind, for they may differ."""
+        copied = super().model_copy(update=update, deep=deep)
+        for key in copied.__dict__.keys() - type(self).model_fields.keys():
+            del copied.__dict__[key]
+        return copied
 
     def __hash__(self) -> int:
         return hash((self.name, self.size, len(self.obstacles), self.obstacles[:1]))
@@ -467,6 +479,8 @@ def _rules_broken_by_the_rest(data: Mapping[str, Any], problems: list[Problem]) 
 
 def _named(entry: Any, position: int) -> object:
     """An entry of ``obstacles`` that keeps its default name when entries before it are left out."""
+    if isinstance(entry, _Obstacle):
+        return entry.model_copy(update={"name": entry.name or _default_name(entry.kind, position)})
     ((kind, settings),) = entry.items()
     return {kind: {"name": _default_name(kind, position), **settings}}
 
@@ -490,25 +504,26 @@ def _plain(settings: BaseModel, without_name: bool = False) -> dict[str, Any]:
 
 
 _EXAMPLES = {
-    "format": "format: 1",
-    "size": "size: [7.0, 7.0]",
+    "format": "1",
+    "size": "[7.0, 7.0]",
     "walls": "{height: 2.0, thickness: 0.1}",
-    "at": "at: [0.0, 0.0]",
-    "height": "height: 0.5",
-    "radius": "radius: 0.2",
-    "points": "points: [[0, 0], [1, 0], [0.4, 0.8]]",
-    "path": "path: [[2, 2], [2, -2]]",
-    "speed": "speed: 0.5",
-    "mass": "mass: 0.35",
-    "box": "box: {at: [1.0, -0.5], size: [0.6, 0.4], height: 0.8}",
-    "cylinder": "cylinder: {at: [-1.0, 1.2], radius: 0.15, height: 0.3}",
-    "polygon": "polygon: {points: [[0, 0], [1, 0], [0.4, 0.8]], height: 1.0}",
+    "at": "[0.0, 0.0]",
+    "height": "0.5",
+    "radius": "0.2",
+    "points": "[[0, 0], [1, 0], [0.4, 0.8]]",
+    "path": "[[2, 2], [2, -2]]",
+    "speed": "0.5",
+    "mass": "0.35",
+    "obstacles": "box: {at: [1.0, -0.5], size: [0.6, 0.4], height: 0.8}",
+    "box": "{at: [1.0, -0.5], size: [0.6, 0.4], height: 0.8}",
+    "cylinder": "{at: [-1.0, 1.2], radius: 0.15, height: 0.3}",
+    "polygon": "{points: [[0, 0], [1, 0], [0.4, 0.8]], height: 1.0}",
     "starts": "{at: [0.0, 0.0], yaw_deg: 90} or [0.0, 0.0]",
     "goals": "[2.0, -2.5]",
     "motion": "{path: [[2, 2], [2, -2]], speed: 0.5}",
     "pushable": "{mass: 0.35}",
 }
-"""What a key's setting looks like, for the remedies of error messages."""
+"""What may stand after a key, for the remedies of error messages."""
 
 
 def _worded(details: Iterable[Mapping[str, Any]], data: object) -> list[Problem]:
@@ -535,7 +550,7 @@ def _word(where: tuple[str | int, ...], detail: Mapping[str, Any]) -> Problem:
         key = detail["loc"][-1]
         if isinstance(key, int):
             return Problem(where, f"must be two numbers, not {_shown(value)}")
-        return Problem(where, f"key '{key}' is missing; add '{_EXAMPLES[key]}'")
+        return Problem(where, f"key '{key}' is missing; add '{key}: {_EXAMPLES[key]}'")
     if kind == "extra_forbidden":
         known = _known_keys(where[:-1])
         meant = _nearest(where[-1], known)
@@ -552,8 +567,10 @@ def _word(where: tuple[str | int, ...], detail: Mapping[str, Any]) -> Problem:
     if kind == "float_type":
         return Problem(where, f"must be a number, not {shown}" if not _is_integer(value) else "is too large a number")
     if kind in ("tuple_type", "too_short", "too_long"):
-        wanted = f"'{example}'" if where[-1] in ("points", "path") else "two numbers such as [1.0, 2.0]"
-        return Problem(where, f"must be {wanted}, not {shown}")
+        fewest = {"points": "a list of three points or more", "path": "a list of two points or more"}
+        if where[-1] in fewest:
+            return Problem(where, f"must be {fewest[str(where[-1])]} such as {example}, not {shown}")
+        return Problem(where, f"must be two numbers such as [1.0, 2.0], not {shown}")
     if kind == "invalid_key":
         return Problem(where[:-1] if where and where[-1] == value else where, f"a key must be a word, not {shown}")
     if kind in ("string_type", "string_unicode"):
@@ -568,17 +585,18 @@ def _word(where: tuple[str | int, ...], detail: Mapping[str, Any]) -> Problem:
 def _word_shape(where: tuple[str | int, ...], entry: object) -> Problem:
     """What is wrong with an entry of ``obstacles`` that is not one shape."""
     if not isinstance(entry, Mapping) or not entry:
-        return Problem(where, f"must be a shape such as '{_EXAMPLES['box']}', not {_shown(entry)}")
+        return Problem(where, f"must be a shape such as '{_EXAMPLES['obstacles']}', not {_shown(entry)}")
     shapes = [key for key in entry if key in _SHAPES]
     if len(shapes) > 1:
         return Problem(
             where, f"holds {' and '.join(map(repr, shapes))}; give each shape a list entry ('- ') of its own"
         )
     if shapes:
-        return Problem(where, f"has keys beside '{shapes[0]}'; indent them below it, as in '{_EXAMPLES[shapes[0]]}'")
+        remedy = f"indent them below it, as in '{shapes[0]}: {_EXAMPLES[shapes[0]]}'"
+        return Problem(where, f"has keys beside '{shapes[0]}'; {remedy}")
     key = next(iter(entry))
     meant = _nearest(key, list(_SHAPES))
-    remedy = f"did you mean '{meant[0]}'?" if meant else f"write one of them first, as in '{_EXAMPLES['box']}'"
+    remedy = f"did you mean '{meant[0]}'?" if meant else f"write one of them first, as in '{_EXAMPLES['obstacles']}'"
     return Problem((*where, key), f"is not a shape (box, cylinder, polygon); {remedy}", at_key=True)
 
 

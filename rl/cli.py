@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import tyro
 from rich.console import Console
+from rich.status import Status
 from tyro.conf import DisallowNone, FlagCreatePairsOff, OmitArgPrefixes, Positional, PositionalMetavarFromFieldName, arg
 from tyro.extras import SubcommandApp
 
@@ -92,7 +93,9 @@ def _version() -> str:
         return "(not installed: running from its source)"
 
 
-# Training and evaluation
+def _busy(what: str) -> Status:
+    """A sign of life beside the output, for what takes a few seconds."""
+    return Console(stderr=True).status(what)
 
 
 @_navsim.command
@@ -165,10 +168,10 @@ def report(run: Positional[Path]) -> None:
     from rl.report import write_report
     from rl.run import Run
 
-    print(write_report(Run.open(run)))
+    with _busy("writing the report"):
+        path = write_report(Run.open(run))
+    print(path)
 
-
-# Worlds
 
 _navsim.command(_world, name="world", help="Check world files, or draw one.")
 
@@ -209,10 +212,10 @@ def show(
     from navsim.show import save_plan_view
 
     world = load_world(file)
-    print(save_plan_view(world, output or Path(f"{world.name}.png")))
+    with _busy("drawing"):
+        path = save_plan_view(world, output or Path(f"{world.name}.png"))
+    print(path)
 
-
-# Benchmarks
 
 _navsim.command(_bench, name="bench", help="Measure how fast this machine simulates and learns.")
 
@@ -226,9 +229,8 @@ def bench_camera(peers: FlagCreatePairsOff[bool] = False) -> None:
     """
     from navsim.bench_camera import run
 
-    console = Console()
-    with console.status("rendering"):
-        run(peers=peers, console=console)
+    with _busy("rendering"):
+        run(peers=peers, console=Console())
 
 
 @_bench.command(name="env")
@@ -254,8 +256,6 @@ def bench_learner(num_threads: int = 1) -> None:
 
     run(Console(), num_threads=num_threads)
 
-
-# The settings of `navsim train`
 
 _Part = TypeVar("_Part")
 

@@ -67,7 +67,7 @@ class Exploration:
     epsilon_least: float | None = 0.001
     """Each robot's descent ends at a share of its own, evenly spaced on a logarithmic scale from --epsilon-end down to
     this one, so that some explore and some show what the policy does; None ends all at --epsilon-end."""
-    epsilon_steps: int = 50_000
+    epsilon_steps: int = 25_000
     """Transitions over which the share of random actions falls linearly."""
 
 
@@ -75,19 +75,19 @@ class Exploration:
 class Learning:
     """Double deep Q-learning from the replay."""
 
-    gamma: float = 0.99
+    gamma: float = 0.97
     """Discount of a reward one step later."""
-    n_step: int = 3
+    n_step: int = 5
     """Rewards summed before the value of the state reached is added."""
     batch_size: int = 64
     """Transitions a gradient step learns from."""
-    replay_capacity: int = 50_000
+    replay_capacity: int = 100_000
     """Transitions kept for replay."""
     prioritized: bool = False
     """Whether transitions are sampled by their last error (Schaul et al. 2016) instead of evenly."""
     mirror: bool = True
     """Whether half of each batch is mirrored: image flipped, heading negated, left and right turns swapped."""
-    learning_rate: float = 3e-4
+    learning_rate: float = 5e-4
     """Adam's step size."""
     learning_rate_decay: Literal["none", "cosine"] = "cosine"
     """How the learning rate falls over the run: not at all, or to zero along half a cosine."""
@@ -245,8 +245,10 @@ PRESETS: dict[str, TrainConfig] = {
         steps_per_batch=8,
         steps_per_update=1.0,
         warmup_steps=1_000,
+        gamma=0.99,
         n_step=1,
         batch_size=8,
+        replay_capacity=50_000,
         mirror=False,
         learning_rate=1e-4,
         learning_rate_decay="none",
@@ -255,5 +257,6 @@ PRESETS: dict[str, TrainConfig] = {
         tau=0.001,
         epsilon_end=0.01,
         epsilon_least=None,
+        epsilon_steps=50_000,
     ),
 }

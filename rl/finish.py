@@ -48,6 +48,7 @@ def finish(run: Run, console: Console) -> Path:
         result.save(run.directory / "evaluation" / f"{name}.json")
         evaluations.append(result)
     console.print(comparison_table(evaluations))
-    report = write_report(run)
+    with console.status("writing the report"):
+        report = write_report(run)
     console.print(f"report: {report}")
     return report

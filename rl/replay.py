@@ -189,16 +189,15 @@ class SharedFrames(MultiStepTransform):
 
     On the way in, stacks of images become stacks of numbers of images in a ``FrameStore``: every step brings one new
     image, the newest of ``next``; an episode's first step also its first. On the way out, numbers become images again.
-    An image is forgotten once no transition in the storage, none that waits for its n-step return, and no environment's
-    present stack holds its number.
+    An image is forgotten once no transition holds its number, neither in the storage nor waiting for its n-step return.
 
-    A step continues the one before it if that was not ``done`` and its stack is the other's next stack, byte for byte.
-    Where a stream of steps breaks without ``done`` (a collector was reset, or a run resumed from a checkpoint), it
-    counts as cut off there by a time limit: n-step returns stop and bootstrap at the last observation seen.
+    A step continues the one before it if its stack is the other's next stack, byte for byte. Where a stream of steps
+    breaks without ``done`` (a collector was reset, or a run resumed from a checkpoint), it counts as cut off there by a
+    time limit: n-step returns stop, and bootstrap from the last observation.
 
-    Two things differ from ``MultiStepTransform``. It leaves ``done`` and ``terminated`` as they were after the first of
-    the n steps, so that returns which end in a terminal step bootstrap from beyond it; here they are those after the
-    last step. And it forgets the waiting steps in checkpoints.
+    ``MultiStepTransform`` itself keeps ``done`` and ``terminated`` of the first of the n steps, so that a return which
+    reaches a terminal step is bootstrapped from beyond it; here they are those of the last step. It also leaves the
+    steps that wait out of checkpoints; here they are in.
 
     Args:
         storage: of the replay buffer that this transform belongs to, one-dimensional.
@@ -265,9 +264,8 @@ class SharedFrames(MultiStepTransform):
         continues = np.empty((n, t), bool)
         continues[:, 0] = self._running & _same(depth[:, 0], self._frames[self._current], leading=1)
         self._mark_cut(self._running & ~continues[:, 0])
-        unbroken = _same(depth[:, 1:], next_depth[:, :-1], leading=2)
-        continues[:, 1:] = ~done[:, :-1] & unbroken
-        done[:, :-1] |= ~unbroken
+        continues[:, 1:] = _same(depth[:, 1:], next_depth[:, :-1], leading=2)
+        done[:, :-1] |= ~continues[:, 1:]
 
         starts = depth[~continues]
         fresh = np.ones(starts.shape[:2], bool)  # an episode's first stack is one image, repeated
@@ -295,9 +293,7 @@ class SharedFrames(MultiStepTransform):
             self._buffer["next", "done"][:, -1, 0] |= torch.from_numpy(cut)
 
     def _held(self) -> Iterator[np.ndarray]:
-        """Numbers of all images that are still needed."""
-        assert self._current is not None
-        yield self._current
+        """Numbers of all images that are still needed; what waits includes the environments' present stacks."""
         for records in (self._buffer, self._storage.get(slice(None)) if len(self._storage) else None):
             if records is not None:
                 yield records["depth"].numpy()
