@@ -32,7 +32,7 @@ class Experiment:
     """World files to train in, or names of shipped worlds; with several, each episode draws one."""
     eval_world: str = "complex_eval"
     """World file, or name of a shipped world, that evaluations use. It is never trained in."""
-    total_steps: int = 400_000
+    total_steps: int = 300_000
     """Environment steps (transitions) to collect in all; one is 0.2 s of one robot."""
     seed: int = 0
     """Seed of everything random. Same seed, machine and versions: the same run."""
@@ -65,8 +65,7 @@ class Exploration:
     epsilon_end: float = 0.3
     """Share of random actions at the end of the descent."""
     epsilon_least: float | None = 0.001
-    """Each robot's descent ends at a share of its own, evenly spaced on a logarithmic scale from --epsilon-end down to
-    this one, so that some explore and some show what the policy does; None ends all at --epsilon-end."""
+    """Least share at the end, where robots differ: spread by equal factors from here to --epsilon-end. None: alike."""
     epsilon_steps: int = 25_000
     """Transitions over which the share of random actions falls linearly."""
 
@@ -92,8 +91,7 @@ class Learning:
     learning_rate_decay: Literal["none", "cosine"] = "cosine"
     """How the learning rate falls over the run: not at all, or to zero along half a cosine."""
     loss_function: Literal["l2", "smooth_l1", "categorical"] = "categorical"
-    """Penalty of the temporal-difference error: mean squared, Huber's, or the cross-entropy of a distribution of
-    returns (C51), which the network then predicts in place of their mean."""
+    """Penalty: mean squared error, Huber's, or cross-entropy of a predicted distribution of returns (C51, --atoms)."""
     atoms: int = 51
     """Returns that a categorical loss tells apart."""
     least_return: float = -1.5
