@@ -74,13 +74,14 @@ def make_collector(
         env: the environment.
         policy: the exploring policy.
         config: the run's settings.
-        total_steps: transitions to collect before it ends.
+        total_steps: transitions to collect before it ends, rounded up to whole batches.
     """
+    batches = math.ceil(total_steps / config.steps_per_batch)
     return Collector(
         env,
         policy,
         frames_per_batch=config.steps_per_batch,
-        total_frames=total_steps,
+        total_frames=batches * config.steps_per_batch,
         track_traj_ids=False,
         use_buffers=False,
         auto_register_policy_transforms=False,

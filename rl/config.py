@@ -32,7 +32,7 @@ class Experiment:
     """World files to train in, or names of shipped worlds; with several, each episode draws one."""
     eval_world: str = "complex_eval"
     """World file, or name of a shipped world, that evaluations use. It is never trained in."""
-    total_steps: int = 300_000
+    total_steps: int = 200_000
     """Environment steps (transitions) to collect in all; one is 0.2 s of one robot."""
     seed: int = 0
     """Seed of everything random. Same seed, machine and versions: the same run."""
@@ -116,7 +116,7 @@ class Learning:
 class Records:
     """What is kept of a run, and how often."""
 
-    eval_interval: int = 50_000
+    eval_interval: int = 25_000
     """Transitions between two evaluations; the best one's weights are kept."""
     log_interval: int = 4_000
     """Transitions between two rows of the log."""
@@ -238,6 +238,7 @@ PRESETS: dict[str, TrainConfig] = {
     # Section 5.3 of the thesis; what it leaves open is listed in docs/thesis.md.
     "thesis": TrainConfig(
         preset="thesis",
+        total_steps=400_000,
         num_envs=8,
         random_paths=False,
         steps_per_batch=8,
