@@ -40,6 +40,6 @@ def key_path(where: Sequence[str | int]) -> str:
     """
     text = ""
     for part in where:
-        key = part if isinstance(part, int) or part.isprintable() else repr(part)[1:-1]
-        text += f"[{key}]" if isinstance(key, int) else f".{key}" if text else key
+        word = str(part) if str(part).isprintable() else repr(part)[1:-1]
+        text += f"[{word}]" if isinstance(part, int) else f".{word}" if text else word
     return text

@@ -232,6 +232,8 @@ class TangentGraph:
             places of the corners, as :func:`_place` gives them, in ascending order, and radians blocked before each.
         """
         centre, radius = self._discs.centre, self._discs.radius
+        if not len(centre):
+            return np.zeros(1), np.zeros(1)
         disc, angle = self._outline_angles(centre, radius)
         every = np.arange(len(centre))
         disc = np.concatenate([disc, every, every])

@@ -310,7 +310,7 @@ class World(_Settings):
     @classmethod
     def _is_a_list(cls, value: object) -> object:
         if not isinstance(value, (list, tuple)):
-            raise ValueError(f"must be a list with one shape an entry, such as '- {_EXAMPLES['obstacles']}'")
+            raise ValueError(f"must be a list with one shape an entry, such as {_EXAMPLES['obstacles']}")
         return value
 
     @field_validator("obstacles")
@@ -514,7 +514,7 @@ _EXAMPLES = {
     "path": "[[2, 2], [2, -2]]",
     "speed": "0.5",
     "mass": "0.35",
-    "obstacles": "box: {at: [1.0, -0.5], size: [0.6, 0.4], height: 0.8}",
+    "obstacles": "'- box: {at: [1.0, -0.5], size: [0.6, 0.4], height: 0.8}'",
     "box": "{at: [1.0, -0.5], size: [0.6, 0.4], height: 0.8}",
     "cylinder": "{at: [-1.0, 1.2], radius: 0.15, height: 0.3}",
     "polygon": "{points: [[0, 0], [1, 0], [0.4, 0.8]], height: 1.0}",
@@ -569,8 +569,8 @@ def _word(where: tuple[str | int, ...], detail: Mapping[str, Any]) -> Problem:
     if kind in ("tuple_type", "too_short", "too_long"):
         fewest = {"points": "a list of three points or more", "path": "a list of two points or more"}
         if where[-1] in fewest:
-            return Problem(where, f"must be {fewest[str(where[-1])]} such as {example}, not {shown}")
-        return Problem(where, f"must be two numbers such as [1.0, 2.0], not {shown}")
+            return Problem(where, f"must be {fewest[str(where[-1])]}, such as {example}, not {shown}")
+        return Problem(where, f"must be two numbers, such as [1.0, 2.0], not {shown}")
     if kind == "invalid_key":
         return Problem(where[:-1] if where and where[-1] == value else where, f"a key must be a word, not {shown}")
     if kind in ("string_type", "string_unicode"):
@@ -585,7 +585,7 @@ def _word(where: tuple[str | int, ...], detail: Mapping[str, Any]) -> Problem:
 def _word_shape(where: tuple[str | int, ...], entry: object) -> Problem:
     """What is wrong with an entry of ``obstacles`` that is not one shape."""
     if not isinstance(entry, Mapping) or not entry:
-        return Problem(where, f"must be a shape such as '{_EXAMPLES['obstacles']}', not {_shown(entry)}")
+        return Problem(where, f"must be a shape such as {_EXAMPLES['obstacles']}, not {_shown(entry)}")
     shapes = [key for key in entry if key in _SHAPES]
     if len(shapes) > 1:
         return Problem(
@@ -596,7 +596,7 @@ def _word_shape(where: tuple[str | int, ...], entry: object) -> Problem:
         return Problem(where, f"has keys beside '{shapes[0]}'; {remedy}")
     key = next(iter(entry))
     meant = _nearest(key, list(_SHAPES))
-    remedy = f"did you mean '{meant[0]}'?" if meant else f"write one of them first, as in '{_EXAMPLES['obstacles']}'"
+    remedy = f"did you mean '{meant[0]}'?" if meant else f"write one of them first, as in {_EXAMPLES['obstacles']}"
     return Problem((*where, key), f"is not a shape (box, cylinder, polygon); {remedy}", at_key=True)
 
 

@@ -26,6 +26,8 @@ from rl.env import NUM_FRAMES
 from rl.learner import Learner
 from rl.run import processor
 
+CONFIG = dataclasses.replace(PRESETS["fast"], loss_function="smooth_l1")
+"""TorchRL's ``DQNLoss`` has no distribution of returns, so neither has the learner that it is compared with."""
 BATCH_SIZES = (8, 64)
 NumberFormat = Literal["float32", "bfloat16"]
 FORMATS: tuple[NumberFormat, ...] = ("float32", "bfloat16")
@@ -79,7 +81,7 @@ def run(console: Console, *, num_threads: int = 1, seconds: float = _SECONDS_A_R
 def _compare(
     batch_size: int, number_format: Literal["float32", "bfloat16"], peak: float, seconds: float
 ) -> Measurement:
-    config = dataclasses.replace(PRESETS["fast"], autocast=number_format)
+    config = dataclasses.replace(CONFIG, autocast=number_format)
     sample = random_sample(batch_size, config.camera)
     learner, peer = Learner(config), PeerLearner(config)
     contestants: list[Callable[[], object]] = [

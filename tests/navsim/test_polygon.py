@@ -59,7 +59,7 @@ def test_signed_area_is_shapelys_with_the_sign_of_the_winding(points):
     assert signed_area(points) == (1 if ring.is_ccw else -1) * shapely.Polygon(points).area
 
 
-@settings(max_examples=250)
+@settings(max_examples=250, deadline=None)
 @given(grid_points)
 def test_a_polygon_is_simple_exactly_when_shapely_finds_it_valid(points):
     assume(all(a != b for a, b in zip(points, points[1:] + points[:1], strict=True)))
@@ -88,13 +88,13 @@ def test_concave_polygons_are_cut_into_convex_pieces(points, turn):
     assert_pieces_are_the_polygon(points[::turn])
 
 
-@settings(max_examples=80)
+@settings(max_examples=80, deadline=None)
 @given(star_polygons())
 def test_any_star_shaped_polygon_is_the_union_of_its_pieces(points):
     assert_pieces_are_the_polygon(points)
 
 
-@settings(max_examples=80)
+@settings(max_examples=80, deadline=None)
 @given(grid_points)
 def test_polygons_with_straight_corners_and_parallel_edges_are_the_union_of_their_pieces(points):
     assume(len(set(points)) == len(points) and shapely.Polygon(points).is_valid)

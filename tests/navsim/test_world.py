@@ -314,7 +314,7 @@ def branches(data) -> list[tuple]:
     return [path for key, value in inner for path in [(key,), *((key, *rest) for rest in branches(value))]]
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(st.sampled_from(branches(FULL)), anything)
 def test_whatever_stands_in_the_place_of_a_value_is_a_world_or_a_world_error(path, value):
     data = copy.deepcopy(FULL)

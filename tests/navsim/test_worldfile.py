@@ -166,7 +166,6 @@ MISTAKES = {
     "? [1]\n: 2": "3:3: a key must be a word; put quotes around a key, and braces around settings",
     "name:": "3:1: name: has no value; write one after the colon, or leave the key out",
     "obstacles:": "3:1: obstacles: has no value; write one after the colon, or leave the key out",
-    "na\n  me: x": "3:1: na me: is not a known key; did you mean 'name'?",
     '"na\\nme": x': "3:1: na\\nme: is not a known key; did you mean 'name'?",
     # Values
     "name: 5": "3:7: name: must be text, not 5; put it in quotes",

@@ -9,8 +9,7 @@ import torch
 from rich.console import Console
 
 from rl import bench_env, bench_learner
-from rl.bench_learner import PeerLearner, random_sample
-from rl.config import PRESETS
+from rl.bench_learner import CONFIG, PeerLearner, random_sample
 from rl.networks import make_q_actor
 
 
@@ -24,14 +23,14 @@ def printed(console: Console) -> str:
 
 
 def test_the_peer_has_the_layers_of_model_i():
-    camera = PRESETS["fast"].camera
+    camera = CONFIG.camera
     ours = sum(p.numel() for p in make_q_actor("I", camera.height, camera.width).parameters())
-    assert sum(p.numel() for p in PeerLearner(PRESETS["fast"]).network.parameters()) == ours
+    assert sum(p.numel() for p in PeerLearner(CONFIG).network.parameters()) == ours
 
 
 def test_the_peer_learns():
     torch.manual_seed(0)
-    peer, sample = PeerLearner(PRESETS["fast"]), random_sample(16, PRESETS["fast"].camera)
+    peer, sample = PeerLearner(CONFIG), random_sample(16, CONFIG.camera)
     losses = [peer.update(sample.copy()).item() for _ in range(30)]
     assert losses[-1] < 0.5 * losses[0]
 
@@ -43,8 +42,8 @@ def test_operations_are_those_of_the_layers():
     streams = [2 * 1280 * 512, 512 * (1 + 7)]
     evaluation = 2 * size * sum(convolutions + streams)
     no_gradient_of_images = 2 * size * convolutions[0]
-    peer = PeerLearner(PRESETS["fast"])
-    counted = peer.operations(random_sample(size, PRESETS["fast"].camera))
+    peer = PeerLearner(CONFIG)
+    counted = peer.operations(random_sample(size, CONFIG.camera))
     assert counted == 5 * evaluation - no_gradient_of_images
 
 

@@ -37,7 +37,8 @@ goals:
 SMALL = [
     *("--total-steps", "320", "--warmup-steps", "64", "--batch-size", "16", "--num-envs", "4"),
     *("--steps-per-batch", "32", "--eval-interval", "160", "--checkpoint-interval", "160", "--log-interval", "80"),
-    *("--camera.width", "20", "--camera.height", "16", "--task.max-steps", "30", "--num-threads", "1"),
+    *("--camera.width", "20", "--camera.height", "16", "--task.max-steps", "30"),
+    *("--num-threads", "1", "--autocast", "float32"),
 ]
 
 
@@ -101,6 +102,7 @@ def test_settings_of_the_command_line_are_those_of_the_run(finished, room):
         checkpoint_interval=160,
         log_interval=80,
         num_threads=1,
+        autocast="float32",
         camera=DepthCamera(width=20, height=16),
         task=Task(max_steps=30),
     )

@@ -12,6 +12,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from navsim.camera import DepthCamera
 from rl.config import TrainConfig
+from rl.learner import make_actor
 from rl.networks import make_q_actor
 from rl.policies import load_policy
 from rl.run import Run, RunError
@@ -19,12 +20,12 @@ from rl.run import Run, RunError
 CAMERA = DepthCamera(width=14, height=10)
 
 
-@pytest.fixture
-def run(tmp_path: Path) -> Run:
+@pytest.fixture(params=["l2", "categorical"])
+def run(tmp_path: Path, request: pytest.FixtureRequest) -> Run:
     """A run with weights, as if it had been evaluated."""
     torch.manual_seed(0)
-    run = Run.create(TrainConfig(model="S", camera=CAMERA, out=tmp_path / "run"))
-    run.save_policy("policy", make_q_actor("S", CAMERA.height, CAMERA.width).state_dict())
+    run = Run.create(TrainConfig(model="S", camera=CAMERA, loss_function=request.param, out=tmp_path / "run"))
+    run.save_policy("policy", make_actor(run.config).state_dict())
     return run
 
 
@@ -34,7 +35,7 @@ def observations(count: int) -> TensorDict:
 
 
 def test_the_policy_is_the_one_that_was_saved(run):
-    saved = make_q_actor("S", CAMERA.height, CAMERA.width)
+    saved = make_actor(run.config)
     saved.load_state_dict(torch.load(run.directory / "policy.pt", weights_only=True))
     seen = observations(5)
     torch.testing.assert_close(
