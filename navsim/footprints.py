@@ -17,6 +17,8 @@ from navsim.prism import Prism
 
 PAIRS_A_CHUNK = 1_000_000
 """Pairs looked at in one go; it bounds the memory in use, to some tens of megabytes."""
+ROUNDING = 1e-9
+"""Metres: more than two ways to the same distance differ by."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +159,9 @@ class Footprints:
             at_least = np.sqrt(_dot(outside, outside))
             towards = self.centre - part[:, None]
             at_most = np.sqrt(_dot(towards, towards)) - self.radius
-            worth_it = (at_least <= at_most.min(axis=1, keepdims=True)) | (at_least == 0.0)
+            # Both bounds are exact for a lone cylinder beside the point: rounding must not put them in the wrong order.
+            bound = at_most.min(axis=1, keepdims=True) + ROUNDING
+            worth_it = (at_least <= bound) | (at_least == 0.0)
             query, prism = np.nonzero(worth_it)
             found = self.point_distances(part[query], prism)
             first = np.searchsorted(query, np.arange(len(part)))

@@ -155,8 +155,8 @@ def render_depth(worlds: World | Sequence[World], poses: np.ndarray, camera: Dep
     >>> import numpy as np, navsim
     >>> world = navsim.World.from_dict({"format": 1, "size": [4, 4]})
     >>> image = navsim.render_depth(world, np.array([[0.0, 0.0, 0.0]]))
-    >>> image.shape, float(image[0, 32, 40].round(3))  # the wall is 2 m ahead of the robot, the camera 8.7 cm behind it
-    ((1, 64, 80), 2.087)
+    >>> image.shape, f"{image[0, 32, 40]:.3f}"  # the wall is 2 m ahead of the robot, the camera 8.7 cm behind it
+    ((1, 64, 80), '2.087')
     """
     poses = np.asarray(poses, dtype=np.float64)
     if poses.ndim != 2 or poses.shape[1] != 3 or not np.all(np.isfinite(poses)):

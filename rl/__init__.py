@@ -6,15 +6,18 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rl.collect import make_env
     from rl.env import NavEnv
+    from rl.evaluation import Evaluation, evaluate
     from rl.loss import D3QNLoss
     from rl.networks import make_q_actor
     from rl.policies import load_policy
 
-__all__ = ["D3QNLoss", "NavEnv", "load_policy", "make_env", "make_q_actor"]
+__all__ = ["D3QNLoss", "Evaluation", "NavEnv", "evaluate", "load_policy", "make_env", "make_q_actor"]
 
 _MODULES = {
     "D3QNLoss": "rl.loss",
+    "Evaluation": "rl.evaluation",
     "NavEnv": "rl.env",
+    "evaluate": "rl.evaluation",
     "load_policy": "rl.policies",
     "make_env": "rl.collect",
     "make_q_actor": "rl.networks",

@@ -242,7 +242,7 @@ BASELINES = tuple(_MAKERS)
 
 
 def make_baseline(name: str, camera: DepthCamera | None = None) -> Baseline:
-    """A policy to compare with, to be evaluated with ``rl.evaluate.evaluate``.
+    """A policy to compare with, to be evaluated with ``rl.evaluate``.
 
     All but the oracle are TensorDictModules, which work in TorchRL's collectors as well.
 

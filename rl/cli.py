@@ -135,8 +135,8 @@ def evaluate(
         seed: Seed of whatever the world leaves open: yaws of starts, starts, goals.
         num_paths: Paths to drive: the first that the world lists, or this many if it leaves starts or goals open.
     """
-    from rl.evaluate import comparison_table
-    from rl.evaluate import evaluate as drive
+    from rl.evaluation import comparison_table
+    from rl.evaluation import evaluate as drive
     from rl.policies import find_policy
 
     console = Console()

@@ -9,7 +9,7 @@ from torchrl.modules import QValueActor
 
 from navsim.worldfile import load_world
 from rl.baselines import BASELINES, Baseline, make_baseline
-from rl.evaluate import comparison_table, evaluate
+from rl.evaluation import comparison_table, evaluate
 from rl.policies import load_policy
 from rl.report import write_report
 from rl.run import Run

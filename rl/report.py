@@ -26,7 +26,7 @@ from navsim.worldfile import load_world
 from rl.baselines import BASELINES
 from rl.config import TrainConfig
 from rl.env import NUM_FRAMES
-from rl.evaluate import OUTCOMES, Evaluation, PathResult
+from rl.evaluation import OUTCOMES, Evaluation, PathResult
 from rl.figures import (
     action_distribution,
     all_paths,

@@ -16,7 +16,7 @@ from navsim.world import World
 from navsim.worldfile import load_world
 from rl.collect import explorer, make_collector, make_env
 from rl.config import TrainConfig
-from rl.evaluate import Evaluation, evaluate
+from rl.evaluation import Evaluation, evaluate
 from rl.learner import Learner, number_format
 from rl.progress import Clock, TrainingProgress, progress_bar
 from rl.replay import make_replay

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from random_shapes import ROUND, random_prisms, shape_of
 
 from navsim.footprints import Footprints, overlapping_boxes
+from navsim.prism import Prism
 
 
 def signed_distance(shape: shapely.Geometry, points: shapely.Geometry) -> np.ndarray:
@@ -26,6 +27,15 @@ def test_the_nearest_footprint_and_its_signed_distance_are_shapelys(seed):
     distance, index = Footprints.of(prisms).nearest(points)
     assert distance == pytest.approx(expected.min(axis=0), abs=ROUND)
     assert expected[index, np.arange(len(points))] == pytest.approx(expected.min(axis=0), abs=ROUND)
+
+
+def test_a_point_level_with_a_lone_cylinder_has_a_distance():
+    centre, radius = np.array([-0.47518304924715027, -1.1336024114775465]), 0.42789540982689017
+    lone = Footprints.of([Prism("can", 0, 0.0, 1.0, centre[None], radius)])
+    along = np.linspace(0.5, 6.0, 2000)[:, None] * np.array([[0.0, -1.0]])
+    distance, index = lone.nearest(centre + along)
+    np.testing.assert_allclose(distance, np.linspace(0.5, 6.0, 2000) - radius, atol=1e-12)
+    assert (index == 0).all()
 
 
 def test_without_footprints_everything_is_infinitely_far():

@@ -248,7 +248,7 @@ NOTCHES = st.tuples(PLACES, st.floats(0.05, 0.95), st.floats(0.3, 1.5)).map(
     ),
 )
 def test_a_robot_never_ends_a_step_inside_an_obstacle(obstacles, start, drive):
-    world = make_world(*obstacles, size=(5.0, 5.0))
+    world = make_world(*obstacles, size=(8.0, 8.0))
     standing = footprints(world)
     if overlap(standing, start[:2]) > 0:
         return

@@ -166,7 +166,7 @@ def test_the_depth_rule_and_the_bumper_are_reported_apart():
 def test_the_goal_wins_over_a_collision_in_the_same_step():
     wall_ahead = {"box": {"at": [0.0, 0.0], "size": [0.2, 3.0], "height": 1.0}}
     # The camera is 0.4 m from the wall with the robot at x = -0.413, and the goal's edge lies at -0.42.
-    world = straight_world(wall_ahead, start=(-2.0, 0.0), goal=(0.08, 0.0))
+    world = straight_world(wall_ahead, start=(-2.0, 0.0), goal=(-0.3, 0.485))
     transition, _ = until_it_ends(Simulator(world, camera=SMALL))
     assert transition.too_near[0]
     assert (transition.success[0], transition.collision[0], transition.reward[0]) == (True, False, 1.0)

@@ -239,9 +239,8 @@ def test_random_places_fill_the_room():
 
 
 def test_a_world_without_room_says_so():
-    world = make_world({"box": {"at": [0, 0], "size": [6.9, 6.9], "height": 1.0}})
     with pytest.raises(ValueError, match="no room for an episode"):
-        drawn(world, 1)
+        drawn(make_world(), 1, task=Task(goal_radius=20.0))
 
 
 def test_a_random_start_may_stand_under_what_is_above_the_robot():

@@ -17,7 +17,7 @@ from navsim.task import Task
 from navsim.world import World
 from rl.baselines import BASELINES, make_baseline
 from rl.env import NavEnv
-from rl.evaluate import evaluate
+from rl.evaluation import evaluate
 
 CAMERA = DepthCamera()
 OPEN = World.from_dict(

@@ -19,7 +19,7 @@ from navsim.world import World
 from navsim.worldfile import save_world
 from rl.baselines import make_baseline
 from rl.config import TrainConfig
-from rl.evaluate import Evaluation, PathResult, evaluate
+from rl.evaluation import Evaluation, PathResult, evaluate
 from rl.figures import action_distribution, choose_examples, example_paths, training_curves
 from rl.networks import make_q_actor
 from rl.report import write_report

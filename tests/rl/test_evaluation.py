@@ -18,7 +18,7 @@ from navsim.camera import DepthCamera
 from navsim.simulator import Simulator
 from navsim.task import Path, Task
 from navsim.world import World
-from rl.evaluate import Evaluation, PathResult, comparison_table, evaluate, wilson_interval
+from rl.evaluation import Evaluation, PathResult, comparison_table, evaluate, wilson_interval
 
 CAMERA = DepthCamera(width=20, height=16)
 TASK = Task(max_steps=60)
