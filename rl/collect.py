@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import torch
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.collectors import BaseCollector, Collector
 from torchrl.modules import EGreedyModule
 
+from navsim.rearrange import rearrange
 from navsim.world import World
 from navsim.worldfile import load_world
 from rl.config import TrainConfig
@@ -36,11 +38,20 @@ def make_env(config: TrainConfig, *, seed: int | None = None) -> NavEnv:
 
 
 def training_worlds(config: TrainConfig) -> list[World]:
-    """The worlds to train in; with ``random_paths``, their listed starts and goals are replaced by drawn ones."""
+    """The worlds to train in.
+
+    With ``random_paths``, listed starts and goals are replaced by drawn ones; with ``rearrangements``, each world is
+    followed by so many that hold its furniture in other places, the same for the same seed.
+    """
     worlds = [load_world(path) for path in config.world]
     if config.random_paths:
         worlds = [world.model_copy(update={"starts": "random", "goals": "random"}) for world in worlds]
-    return worlds
+    generators = np.random.default_rng(config.seed).spawn(len(worlds))
+    return [
+        room
+        for world, generator in zip(worlds, generators, strict=True)
+        for room in (world, *rearrange(world, config.rearrangements, generator))
+    ]
 
 
 def explorer(actor: TensorDictModuleBase, env: NavEnv, config: TrainConfig) -> TensorDictSequential:

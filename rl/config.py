@@ -48,6 +48,8 @@ class Collection:
     """Robots simulated together."""
     random_paths: bool = True
     """Whether training draws starts and goals anywhere in the room, not only where the world file lists them."""
+    rearrangements: int = 100
+    """Rooms to train in beside each world file: its furniture in so many random arrangements."""
     steps_per_batch: int = 64
     """Transitions collected between two visits to the learner, all robots together."""
     steps_per_update: float = 8.0
@@ -162,6 +164,13 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
             yield f"--seed must not be negative; got {self.seed}"
         if not self.world:
             yield "--world needs at least one world file or name"
+        if self.rearrangements < 0:
+            yield f"--rearrangements must not be negative; got {self.rearrangements}"
+        if self.rearrangements and not self.random_paths:
+            yield (
+                f"--rearrangements ({self.rearrangements}) needs --random-paths: listed starts and goals do not fit "
+                "rooms whose furniture was moved; set it to 0 to train on the listed ones"
+            )
         if self.epsilon_end > self.epsilon_start:
             yield f"--epsilon-end ({self.epsilon_end}) must not exceed --epsilon-start ({self.epsilon_start})"
         if self.epsilon_least is not None and not 0.0 < self.epsilon_least <= self.epsilon_end:
@@ -241,6 +250,7 @@ PRESETS: dict[str, TrainConfig] = {
         total_steps=400_000,
         num_envs=8,
         random_paths=False,
+        rearrangements=0,
         steps_per_batch=8,
         steps_per_update=1.0,
         warmup_steps=1_000,

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import torch
 from rich.console import Console
+from tensordict import TensorDictBase
 from torchrl.checkpoint import Checkpoint, CheckpointRotation, GlobalRNGState
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.record.loggers import TensorboardLogger
@@ -16,6 +18,7 @@ from navsim.world import World
 from navsim.worldfile import load_world
 from rl.collect import explorer, make_collector, make_env
 from rl.config import TrainConfig
+from rl.env import NavEnv
 from rl.evaluation import Evaluation, evaluate
 from rl.learner import Learner, number_format
 from rl.progress import Clock, TrainingProgress, progress_bar
@@ -48,7 +51,8 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
     if config.autocast == "auto":  # chosen by a stopwatch, so it is written down: a resumed run must not choose again
         config = replace(config, autocast="float32" if number_format("auto") is None else "bfloat16")
     eval_world = load_world(config.eval_world)
-    env = make_env(config)
+    with (console or Console()).status("arranging the rooms to train in"):
+        env = make_env(config)
     run = Run.open(config.directory) if resume else Run.create(config)
 
     learner = Learner(config)
@@ -64,7 +68,7 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
     )
     policy = explorer(learner.actor, env, config)
     exploration = policy[-1]
-    probe = _probe_states(config)
+    probe = _probe_states(env.simulator.worlds, config)
     progress = TrainingProgress(config.num_envs)
     logs = _Logs(run, config)
     checkpoint = Checkpoint(
@@ -205,9 +209,9 @@ def _evaluate(learner: Learner, world: World, config: TrainConfig) -> Evaluation
     return evaluate(learner.actor, world, camera=config.camera, task=config.task, robot=config.robot, seed=config.seed)
 
 
-def _probe_states(config: TrainConfig) -> Any:
+def _probe_states(worlds: Sequence[World], config: TrainConfig) -> TensorDictBase:
     """States met by random driving, the same for every run in the same worlds."""
-    env = make_env(config, seed=0)
+    env = NavEnv(worlds, config.num_envs, camera=config.camera, task=config.task, robot=config.robot, seed=0)
     with torch.random.fork_rng():
         torch.manual_seed(0)
         steps = 4 * _PROBE_STATES // config.num_envs + 1
@@ -216,6 +220,6 @@ def _probe_states(config: TrainConfig) -> Any:
 
 
 @torch.no_grad()
-def _mean_max_q(learner: Learner, probe: Any) -> float:
+def _mean_max_q(learner: Learner, probe: TensorDictBase) -> float:
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         return float(learner.actor(probe.copy())["action_value"].max(dim=-1).values.mean())

@@ -16,10 +16,10 @@ if sys.argv[1] == "keep":
     assert keep_freed_memory()
 def page_faults():
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-for repetition in range(12):
+for repetition in range(8):
     if repetition == 2:
         before = page_faults()
-    blocks = [np.full(size << 20, 1, np.uint8) for size in (5, 5, 5, 5, 5)]
+    blocks = [np.full(300_000, 1, np.uint8) for _ in range(5)]
     del blocks
 print(page_faults() - before)
 """

@@ -22,6 +22,7 @@ def config(out: Path, **settings) -> TrainConfig:
         PRESETS["fast"],
         camera=DepthCamera(width=20, height=12),
         eval_world="simple_eval",
+        rearrangements=2,
         total_steps=768,
         num_envs=4,
         steps_per_batch=32,

@@ -1,0 +1,123 @@
+"""The same furniture in another arrangement: many rooms out of one.
+
+A robot that trains in one room learns that room. What stands together in a world (a table top and its legs, a can on a
+step) is moved as one piece, to a random place with a random turn, so that every gap is either closed or wide enough.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from navsim.footprints import Footprints
+from navsim.prism import Prism
+from navsim.world import World
+
+TOGETHER = 0.06
+"""Obstacles that are nearer to each other than this, metres, are one piece of furniture."""
+_TRIES = 150  # places tried for a piece before it is left out: the room is full
+_SPACING = 0.05  # of the points that stand for a piece's outline, metres; errors of gaps are a hundredth of it
+
+
+def rearrange(world: World, count: int, generator: np.random.Generator, gap: float = 0.9) -> list[World]:
+    """Moves the furniture of a world to random places, many times.
+
+    Args:
+        world: the room and its furniture.
+        count: arrangements to make.
+        generator: the only source of chance.
+        gap: least space between two pieces, metres, and between a piece and a wall that it does not stand against.
+
+    Returns:
+        worlds with the same pieces, but for those that found no place, and with starts and goals drawn at random.
+    """
+    pieces = sorted(_pieces(world), key=lambda piece: -piece.extent)
+    return [_arranged(world, pieces, generator, gap, f"{world.name} {number + 1}") for number in range(count)]
+
+
+def _arranged(world: World, pieces: list[_Piece], generator: np.random.Generator, gap: float, name: str) -> World:
+    description = world.to_dict()
+    obstacles: list[dict[str, Any]] = []
+    outlines = np.zeros((0, 2))
+    for piece in pieces:
+        for _ in range(_TRIES):
+            turn, offset = piece.place(generator, world.half_size, gap)
+            outline = piece.outline @ turn.T + offset
+            if (np.abs(outline) > world.half_size).any():
+                continue
+            if len(outlines) and piece.footprints.nearest((outlines - offset) @ turn)[0].min() < gap:
+                continue
+            outlines = np.concatenate([outlines, outline])
+            obstacles += [_moved(description["obstacles"][i], turn, offset, piece.centre) for i in piece.members]
+            break
+    return World.from_dict(description | {"obstacles": obstacles, "starts": "random", "goals": "random", "name": name})
+
+
+class _Piece:
+    """Obstacles that stay together, in coordinates around the middle of them all."""
+
+    def __init__(self, prisms: list[Prism]) -> None:
+        self.members = sorted({prism.obstacle for prism in prisms})
+        outline = np.concatenate([_outline(prism) for prism in prisms])
+        self.centre = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
+        self.outline = outline - self.centre
+        self.extent = float(np.linalg.norm(self.outline, axis=1).max())
+        self.footprints = Footprints.of(
+            [Prism(p.name, p.obstacle, p.base, p.top, p.vertices - self.centre, p.radius) for p in prisms]
+        )
+
+    def place(self, generator: np.random.Generator, half_size: np.ndarray, gap: float) -> tuple[np.ndarray, np.ndarray]:
+        """A rotation ``(2, 2)`` and an offset ``(2,)``: half of the time somewhere in the room, else against a wall."""
+        against_wall = generator.random() < 0.5
+        angle = generator.integers(4) * math.pi / 2 if against_wall else generator.uniform(-math.pi, math.pi)
+        turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+        turned = self.outline @ turn.T
+        low, high = -half_size - turned.min(axis=0), half_size - turned.max(axis=0)
+        inner_low, inner_high = low + gap, high - gap
+        offset = generator.uniform(np.minimum(inner_low, inner_high), np.maximum(inner_low, inner_high))
+        if against_wall:
+            axis = int(generator.integers(2))
+            # A hair's breadth off the wall, or rounding would put corners behind it.
+            offset[axis] = low[axis] + 1e-6 if generator.random() < 0.5 else high[axis] - 1e-6
+        return turn, offset
+
+
+def _pieces(world: World) -> list[_Piece]:
+    """What stands together, found by following neighbours."""
+    prisms = [prism for prism in world.prisms if prism.obstacle >= 0]
+    outlines = [_outline(prism) for prism in prisms]
+    piece_of = list(range(len(prisms)))
+    for i, prism in enumerate(prisms):
+        footprint = Footprints.of([prism])
+        for j in range(len(prisms)):
+            near = prisms[j].obstacle == prism.obstacle or footprint.nearest(outlines[j])[0].min() < TOGETHER
+            if piece_of[j] != piece_of[i] and near:
+                old, new = piece_of[j], piece_of[i]
+                piece_of = [new if piece == old else piece for piece in piece_of]
+    return [_Piece([p for p, own in zip(prisms, piece_of, strict=True) if own == piece]) for piece in set(piece_of)]
+
+
+def _outline(prism: Prism) -> np.ndarray:
+    """``(K, 2)`` points along the edge of a footprint, metres."""
+    if prism.is_cylinder:
+        angles = np.linspace(0.0, 2.0 * math.pi, max(16, math.ceil(2.0 * math.pi * prism.radius / _SPACING)))
+        return prism.vertices[0] + prism.radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    ends = np.roll(prism.vertices, -1, axis=0)
+    parts = []
+    for begin, end in zip(prism.vertices, ends, strict=True):
+        count = max(2, math.ceil(np.linalg.norm(end - begin) / _SPACING))
+        parts.append(begin + np.linspace(0.0, 1.0, count, endpoint=False)[:, None] * (end - begin))
+    return np.concatenate(parts)
+
+
+def _moved(obstacle: dict[str, Any], turn: np.ndarray, offset: np.ndarray, centre: np.ndarray) -> dict[str, Any]:
+    ((kind, settings),) = obstacle.items()
+    moved = dict(settings)
+    for key in ("at", "points"):
+        if key in moved:
+            moved[key] = ((np.asarray(moved[key]) - centre) @ turn.T + offset).tolist()
+    if kind == "box":
+        moved["yaw_deg"] = float(moved.get("yaw_deg", 0.0)) + math.degrees(math.atan2(turn[1, 0], turn[0, 0]))
+    return {kind: moved}
