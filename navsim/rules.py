@@ -21,10 +21,8 @@ GOAL_CLEARANCE = TURTLEBOT2.radius
 """Metres from a goal to the nearest obstacle or wall."""
 SHORTEST_TRIP = 0.5
 """Metres between a start and a goal when either is drawn at random."""
-FINEST_SEARCH = 0.02
-"""Metres between the places that are tried, in the end, for a random start or goal."""
-MOST_PLACES = 1_000_000
-"""Places that are tried for a random start or goal, at most."""
+MOST_PLACES = 20_000
+"""Places that are tried for a random start or goal before a room is said to have none."""
 
 _Place = tuple[str, int]
 """Where a start or a goal stands in the file, such as ``("starts", 0)``."""
@@ -151,7 +149,7 @@ def _lattices(space: FreeSpace) -> Iterator[np.ndarray]:
     while space.half_extents.min() >= 0.0:
         x, y = (np.arange(-half + 0.5 * min(step, half), half, step) for half in space.half_extents)
         yield np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-        if step <= FINEST_SEARCH or 4 * len(x) * len(y) > MOST_PLACES:
+        if 4 * len(x) * len(y) > MOST_PLACES:
             return
         step *= 0.5
 

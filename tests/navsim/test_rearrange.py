@@ -1,0 +1,94 @@
+"""Other arrangements of a world's furniture, against shapely."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+import shapely
+
+from navsim import World, load_world
+from navsim.rearrange import TOGETHER, rearrange
+
+GAP = 0.9
+
+
+def shapes(world: World) -> list[shapely.Geometry]:
+    """One for each obstacle."""
+    by_obstacle: dict[int, list[shapely.Geometry]] = {}
+    for prism in world.prisms:
+        if prism.obstacle >= 0:
+            shape = shapely.Point(prism.vertices[0]).buffer(prism.radius, quad_segs=64)
+            shape = shape if prism.is_cylinder else shapely.Polygon(prism.vertices)
+            by_obstacle.setdefault(prism.obstacle, []).append(shape)
+    return [shapely.union_all(parts) for _, parts in sorted(by_obstacle.items())]
+
+
+@pytest.fixture(scope="module", params=["complex_train", "simple_train"])
+def rooms(request) -> tuple[World, list[World]]:
+    world = load_world(request.param)
+    return world, rearrange(world, 4, np.random.default_rng(0), GAP)
+
+
+def test_gaps_are_closed_or_wide(rooms):
+    for room in rooms[1]:
+        for one, other in itertools.combinations(shapes(room), 2):
+            distance = one.distance(other)
+            assert distance < TOGETHER + 2e-3 or distance > GAP - 0.02 or _joined(room, one, other)
+
+
+def _joined(room: World, one: shapely.Geometry, other: shapely.Geometry) -> bool:
+    """Whether the two belong to one piece through others between them."""
+    group = one
+    for _ in range(10):
+        near = [shape for shape in shapes(room) if shape.distance(group) < TOGETHER + 2e-3]
+        group = shapely.union_all([group, *near])
+    return group.distance(other) < 1e-9
+
+
+def test_pieces_stand_against_a_wall_or_well_away_from_it(rooms):
+    for room in rooms[1]:
+        half = room.half_size
+        inner = shapely.box(*(-half), *half)
+        everything = shapely.union_all([shape.buffer(TOGETHER) for shape in shapes(room)])
+        for piece in getattr(everything, "geoms", [everything]):
+            slack = inner.exterior.distance(piece)
+            assert slack == 0.0 or slack > GAP - TOGETHER - 0.02
+
+
+def test_most_furniture_finds_a_place_and_keeps_its_shape(rooms):
+    world, arranged = rooms
+    original = {obstacle.name: shape.area for obstacle, shape in zip(world.obstacles, shapes(world), strict=True)}
+    heights = {obstacle.name: (obstacle.base, obstacle.height) for obstacle in world.obstacles}
+    for room in arranged:
+        assert len(room.obstacles) > 0.75 * len(world.obstacles)
+        for obstacle, shape in zip(room.obstacles, shapes(room), strict=True):
+            assert shape.area == pytest.approx(original[obstacle.name], rel=1e-6)
+            assert (obstacle.base, obstacle.height) == heights[obstacle.name]
+
+
+def test_a_piece_moves_as_a_whole():
+    parts = [
+        {"box": {"name": "top", "at": [1, 1], "size": [1.0, 0.5], "base": 0.7, "height": 0.03, "yaw_deg": 20}},
+        {"cylinder": {"name": "can", "at": [1.1, 1.05], "radius": 0.1, "height": 0.2}},
+        {"polygon": {"name": "wedge", "points": [[0.8, 0.9], [1.0, 0.9], [0.9, 1.1]], "height": 0.1}},
+    ]
+    world = World.from_dict({"format": 1, "size": [7, 7], "obstacles": parts})
+    before = shapes(world)
+    for room in rearrange(world, 5, np.random.default_rng(1)):
+        after = shapes(room)
+        for one, other in itertools.combinations(range(3), 2):
+            expected = before[one].centroid.distance(before[other].centroid)
+            assert after[one].centroid.distance(after[other].centroid) == pytest.approx(expected, abs=1e-6)
+            expected = before[one].intersection(before[other]).area
+            assert after[one].intersection(after[other]).area == pytest.approx(expected, abs=1e-4)
+
+
+def test_arrangements_differ_but_not_for_the_same_seed():
+    world = load_world("simple_train")
+    first, second = (rearrange(world, 2, np.random.default_rng(3)) for _ in range(2))
+    assert [room.to_dict() for room in first] == [room.to_dict() for room in second]
+    assert first[0].to_dict()["obstacles"] != first[1].to_dict()["obstacles"]
+    assert first[0].random_starts
+    assert first[0].random_goals
