@@ -199,6 +199,10 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
                 f"--total-steps ({self.total_steps}) must exceed --warmup-steps ({self.warmup_steps}): "
                 "nothing would be learnt"
             )
+        try:
+            self.task.check_camera(self.camera)
+        except ValueError as error:
+            yield str(error)
         if self.max_grad_norm is not None and not self.max_grad_norm > 0:
             yield f"--max-grad-norm must be positive or None; got {self.max_grad_norm}"
 

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Sequence
+import signal
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
+from types import FrameType
 from typing import Any
 
 import torch
@@ -91,7 +95,7 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
         for interval in (config.log_interval, config.eval_interval, config.checkpoint_interval)
     )
     collector = make_collector(env, policy, config, total_steps=config.total_steps - progress.step)
-    with progress_bar(console) as bar:
+    with progress_bar(console) as bar, _interrupts_between_batches() as interrupts:
         shown = bar.add_task("", total=config.total_steps, completed=progress.step, status="", speed="")
         for batch in collector:
             replay.extend(batch)
@@ -125,8 +129,33 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
             if checkpoint_due(progress.step):
                 run.save_policy("policy_last", learner.actor.state_dict())
                 rotation.save(checkpoint, step=progress.step)
+            if interrupts:
+                raise KeyboardInterrupt
     collector.shutdown()
     return run
+
+
+@contextmanager
+def _interrupts_between_batches() -> Iterator[list[int]]:
+    """Collects Ctrl-C for the loop to heed when nothing is half done; a second one interrupts at once.
+
+    An exception in the middle may be lost: where C code calls back, it is printed and forgotten.
+    """
+    interrupts: list[int] = []
+    if threading.current_thread() is not threading.main_thread():  # signals are the main thread's
+        yield interrupts
+        return
+    before = signal.getsignal(signal.SIGINT)
+
+    def note(number: int, _: FrameType | None) -> None:
+        interrupts.append(number)
+        signal.signal(signal.SIGINT, before)
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield interrupts
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _restore(checkpoint: Checkpoint, rotation: CheckpointRotation) -> None:

@@ -38,7 +38,7 @@ SMALL = [
     *("--total-steps", "320", "--warmup-steps", "64", "--batch-size", "16", "--num-envs", "4"),
     *("--steps-per-batch", "32", "--eval-interval", "160", "--checkpoint-interval", "160", "--log-interval", "80"),
     *("--camera.width", "20", "--camera.height", "16", "--task.max-steps", "30"),
-    *("--num-threads", "1", "--autocast", "float32"),
+    *("--num-threads", "1", "--autocast", "float32", "--rearrangements", "2"),
 ]
 
 

@@ -87,8 +87,8 @@ def test_tensors_handed_out_do_not_change_later():
     assert (second["depth"] == second_copy).all()
 
 
-def drive_fast(state):
-    return state.set("action", torch.tensor([1]))
+def drive_fast(tensordict):
+    return tensordict.set("action", torch.tensor([1]))
 
 
 def test_the_goal_terminates():

@@ -56,7 +56,8 @@ def test_the_learning_rate_falls_along_half_a_cosine():
 @pytest.mark.parametrize("model", ["I", "S"])
 def test_what_is_known_is_learnt(model):
     torch.manual_seed(0)
-    learner = Learner(replace(CONFIG, model=model, learning_rate_decay="none", learning_rate=1e-3))
+    settings = {"loss_function": "smooth_l1", "learning_rate_decay": "none", "learning_rate": 1e-3}
+    learner = Learner(replace(CONFIG, model=model, **settings))
     batch = sample()
     losses = [float(learner.update(batch)) for _ in range(150)]
     assert losses[-1] < 0.02 * losses[0]

@@ -21,7 +21,7 @@ from rl.baselines import make_baseline
 from rl.config import TrainConfig
 from rl.evaluation import Evaluation, PathResult, evaluate
 from rl.figures import action_distribution, choose_examples, example_paths, training_curves
-from rl.networks import make_q_actor
+from rl.learner import make_actor
 from rl.report import write_report
 from rl.run import METRICS, Run, RunError
 
@@ -49,7 +49,7 @@ def run(tmp_path_factory):
     save_world(WORLD, directory.parent / "hall.yaml")
     torch.manual_seed(0)
     run = Run.create(TrainConfig(out=directory, eval_world=str(directory.parent / "hall.yaml"), seed=7))
-    run.save_policy("policy", make_q_actor("I", 64, 80).state_dict())
+    run.save_policy("policy", make_actor(run.config).state_dict())
     for row in metrics_rows():
         run.metrics.append(row)
     run.evaluations.append(
