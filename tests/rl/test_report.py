@@ -135,7 +135,7 @@ def test_settings_versions_and_seed_are_there(page):
     text = " ".join(" ".join(page.text).split())
     for words in (
         "Seed 7",
-        "learning_rate 0.0003",
+        "learning_rate 0.0005",
         "camera.width 80",
         "task.max_steps 500",
         f"torch {torch.__version__}",
