@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 import shapely
@@ -42,6 +44,14 @@ def test_a_closed_ring_cuts_its_inside_off():
 @pytest.mark.parametrize("gap", [2 * RADIUS - 1e-6, 2 * RADIUS + 1e-6])
 def test_a_gap_lets_the_robot_through_when_it_is_as_wide_as_the_robot(gap):
     inside, outside = regions(ring(2.0, gap), [(0, 0), (3, 0)])
+    assert (inside == outside) == (gap > 2 * RADIUS)
+
+
+@pytest.mark.parametrize("gap", [2 * RADIUS - 1e-4, 2 * RADIUS + 1e-4])
+def test_a_gap_from_corner_to_corner_is_measured_as_the_robot_passes_it(gap):
+    reach = 2.0 - gap / math.sqrt(2.0)
+    walls = [block((-2, 2), (reach, 2.1)), block((2, -2), (2.1, reach)), *ring(2.0)[:2]]
+    inside, outside = regions(walls, [(0, 0), (3, 0)])
     assert (inside == outside) == (gap > 2 * RADIUS)
 
 

@@ -24,6 +24,7 @@ from navsim.planner import (
     shortest_path_length,
 )
 from navsim.prism import Prism
+from navsim.tangents import TangentGraph
 from navsim.world import World
 
 RADIUS = 0.1755
@@ -293,6 +294,17 @@ def test_in_a_large_world_far_clusters_are_joined_and_closed_rooms_stay_closed(m
     assert shortest_path_length(world, start, goal) == pytest.approx(exact, rel=0.01)
     assert shortest_path_length(world, (0, 0), (10, 0)) == math.inf
     assert shortest_path_length(world, (0, 0), (1.1, 0)) == pytest.approx(0.6)
+
+
+def test_short_tangents_follow_a_long_row_of_boxes_from_touch_to_touch():
+    # Where one tangent ends and the next begins at one point of contact, rounding must not tell them apart.
+    world = make_world(*(box((0.3 * i - 5.85, 0.1), (0.3, 0.3)) for i in range(40)), size=(14, 4))
+    space = free_space(world, RADIUS, 0.42)
+    start, goal = complex(-6.5, 0.3), complex(6.5, 0.3)
+    short = TangentGraph(space.obstacles, RADIUS, space.half_extents, reach=1.0)
+    length, _ = short.shortest_path(start, goal, 0.0)
+    whole = make_world(box((0, 0.1), (12.0, 0.3)), size=(14, 4))
+    assert length == pytest.approx(shortest_path_length(whole, (-6.5, 0.3), (6.5, 0.3), goal_radius=0.0))
 
 
 # Connections

@@ -103,6 +103,7 @@ def test_settings_of_the_command_line_are_those_of_the_run(finished, room):
         log_interval=80,
         num_threads=1,
         autocast="float32",
+        rearrangements=2,
         camera=DepthCamera(width=20, height=16),
         task=Task(max_steps=30),
     )
