@@ -30,8 +30,8 @@ class D3QNLoss(DQNLoss):
     limit ended is ``truncated``, not ``terminated``, so its last observation is bootstrapped from.
 
     What ``DQNLoss`` spends beside the networks (copies of tensordicts, ``step_mdp``, actions nobody reads, gradients
-    through nothing) is gone, and s' is prepared once for both networks. Evaluating the online network on s and s'
-    together was measured and does not pay: its backward pass would cover s' as well.
+    through nothing) is gone, and s' is prepared once for both networks. The online network sees s and s' one after the
+    other: a single pass over both would make its backward pass cover s' as well.
 
     Like ``DQNLoss``, it writes the squared error into the tensordict as ``td_error``, ``(B, 1)``, the priority of
     prioritised replay, and weighs samples by their ``priority_weight`` if they have one. Unlike it, it also writes

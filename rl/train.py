@@ -25,6 +25,7 @@ from rl.config import TrainConfig
 from rl.env import NavEnv
 from rl.evaluation import Evaluation, evaluate
 from rl.learner import Learner, number_format
+from rl.memory import keep_freed_memory
 from rl.progress import Clock, TrainingProgress, progress_bar
 from rl.replay import make_replay
 from rl.run import Run, RunError
@@ -49,6 +50,7 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
         RunError: if the directory holds a run already, or none to resume.
         navsim.WorldError: for a world file that cannot be used.
     """
+    keep_freed_memory()
     torch.set_num_threads(config.num_threads)
     torch.manual_seed(config.seed)
     random.seed(config.seed)
