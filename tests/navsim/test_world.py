@@ -185,6 +185,16 @@ def test_a_pickled_world_is_the_same_world_without_its_derived_values():
             np.testing.assert_array_equal(prism.vertices, outline)
 
 
+def test_a_changed_copy_derives_its_own_values():
+    world = make_world(box())
+    assert len(world.prisms) == 5
+    world.derived["places"] = 1
+    open_floor = world.model_copy(update={"walls": None})
+    assert len(open_floor.prisms) == 1
+    assert open_floor.derived == {}
+    assert world.derived == {"places": 1}
+
+
 def test_a_world_reads_as_what_is_in_it():
     world = make_world(box(), cylinder(), starts=[[-3, 2]], goals=[[3, 2], [3, 0]], name="office")
     assert repr(world) == "World('office', 8 x 6 m, 2 m walls, 2 obstacles, 1 start, 2 goals)"
