@@ -119,5 +119,6 @@ def _moved(obstacle: dict[str, Any], turn: np.ndarray, offset: np.ndarray, centr
         if key in moved:
             moved[key] = ((np.asarray(moved[key]) - centre) @ turn.T + offset).tolist()
     if kind == "box":
-        moved["yaw_deg"] = float(moved.get("yaw_deg", 0.0)) + math.degrees(math.atan2(turn[1, 0], turn[0, 0]))
+        yaw_deg = float(moved.get("yaw_deg", 0.0)) + math.degrees(math.atan2(turn[1, 0], turn[0, 0]))
+        moved["yaw_deg"] = math.remainder(yaw_deg, 360.0)
     return {kind: moved}
