@@ -17,9 +17,11 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import tyro
 from rich.console import Console
-from rich.status import Status
 from tyro.conf import DisallowNone, FlagCreatePairsOff, OmitArgPrefixes, Positional, PositionalMetavarFromFieldName, arg
 from tyro.extras import SubcommandApp
+
+from rl.cli_world import world_commands
+from rl.console import busy
 
 if TYPE_CHECKING:
     from rl.config import TrainConfig
@@ -31,7 +33,7 @@ _DESCRIPTION = """Train and evaluate robots that find their way by depth images.
 
 Type "navsim COMMAND --help" for all that a command takes, and "navsim --version" for the version."""
 
-_navsim, _world, _bench = SubcommandApp(), SubcommandApp(), SubcommandApp()
+_navsim, _bench = SubcommandApp(), SubcommandApp()
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -91,11 +93,6 @@ def _version() -> str:
         return metadata.version("navsim-rl")
     except metadata.PackageNotFoundError:
         return "(not installed: running from its source)"
-
-
-def _busy(what: str) -> Status:
-    """A sign of life beside the output, for what takes a few seconds."""
-    return Console(stderr=True).status(what)
 
 
 @_navsim.command
@@ -168,55 +165,12 @@ def report(run: Positional[Path]) -> None:
     from rl.report import write_report
     from rl.run import Run
 
-    with _busy("writing the report"):
+    with busy("writing the report"):
         path = write_report(Run.open(run))
     print(path)
 
 
-_navsim.command(_world, name="world", help="Check world files, or draw one.")
-
-
-@_world.command
-def check(files: Positional[tuple[str, ...]] = ()) -> None:
-    """Say whether world files keep the rules, and everything that is wrong with those that do not.
-
-    Args:
-        files: World files, or names of shipped worlds; all of the latter if there is none.
-    """
-    from navsim import WorldError, load_world, shipped_worlds
-
-    problems: list[str] = []
-    for file in files or shipped_worlds():
-        try:
-            print(f"{file}: {load_world(file)}")
-        except WorldError as error:
-            problems += error.problems
-    if problems:
-        raise WorldError(problems)
-
-
-@_world.command
-def show(
-    file: Positional[str],
-    output: Annotated[
-        Path | None, arg(aliases=["-o"], metavar="FILE", help_behavior_hint="(default: WORLD.png, here)")
-    ] = None,
-) -> None:
-    """Draw a world from above, with the shortest path between every start and goal.
-
-    Args:
-        file: World file, or name of a shipped world.
-        output: Picture to write, in the format that its suffix says: .png, .svg, .pdf.
-    """
-    from navsim import load_world
-    from navsim.show import save_plan_view
-
-    world = load_world(file)
-    with _busy("drawing"):
-        path = save_plan_view(world, output or Path(f"{world.name}.png"))
-    print(path)
-
-
+_navsim.command(world_commands, name="world", help="Check world files, or draw one.")
 _navsim.command(_bench, name="bench", help="Measure how fast this machine simulates and learns.")
 
 
@@ -229,7 +183,7 @@ def bench_camera(peers: FlagCreatePairsOff[bool] = False) -> None:
     """
     from navsim.bench_camera import run
 
-    with _busy("rendering"):
+    with busy("rendering"):
         run(peers=peers, console=Console())
 
 
