@@ -9,6 +9,8 @@ from pathlib import Path
 
 import imageio.v3 as imageio
 import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -33,7 +35,7 @@ from navsim.draw import (
     masked_depth,
 )
 from navsim.raycast import render_depth
-from navsim.robot import TURTLEBOT2, Robot
+from navsim.robot import NUM_ACTIONS, TURTLEBOT2, Robot
 from navsim.scan import obstacle_depth, scan_points
 from navsim.task import Task, goal_distance, heading
 from navsim.world import World
@@ -42,6 +44,7 @@ ANIMATION_SUFFIXES = (".gif", ".mp4")
 """What :func:`animate_episode` writes."""
 
 _SIZE, _DPI = (9.6, 5.2), 100  # inches and dots an inch: 960 x 520 pixels, both even as MP4 needs them
+_OTHER_BARS = "#b9c0c8"
 _HOLD = 1.0  # seconds that the last frame stays
 
 
@@ -55,6 +58,7 @@ class _Episode:
     camera: DepthCamera
     task: Task
     robot: Robot
+    q_values: np.ndarray | None
 
 
 def animate_episode(
@@ -68,6 +72,7 @@ def animate_episode(
     camera: DepthCamera | None = None,
     task: Task | None = None,
     robot: Robot = TURTLEBOT2,
+    q_values: np.ndarray | None = None,
     speed: float = 2.0,
 ) -> Path:
     """Write one episode as a GIF or an MP4: the plan view beside the depth image that the robot sees.
@@ -82,20 +87,27 @@ def animate_episode(
         camera: what the robot sees with.
         task: its goal radius and control period are shown.
         robot: drawn to scale.
+        q_values: ``(K - 1, 7)``, what the network expects of each action at each pose but the last, drawn as bars.
         speed: how many times faster than real time it plays.
 
     Returns:
         The path.
 
     Raises:
-        ValueError: for a suffix that is neither of the two, or poses of another shape.
+        ValueError: for a suffix that is neither of the two, or poses or Q-values of another shape.
     """
     path = Path(path)
-    if path.suffix.lower() not in ANIMATION_SUFFIXES:
-        raise ValueError(f"{path}: animations are written as {' or '.join(ANIMATION_SUFFIXES)}")
+    check_animation_path(path)
     poses = np.asarray(poses, dtype=np.float64)
     if poses.ndim != 2 or poses.shape[1] != 3 or len(poses) == 0:
         raise ValueError(f"poses of shape {poses.shape} make no episode: give (K, 3), x, y and yaw at each time")
+    if q_values is not None:
+        q_values = np.asarray(q_values, dtype=np.float64)
+        if q_values.shape != (len(poses) - 1, NUM_ACTIONS):
+            raise ValueError(
+                f"Q-values of shape {q_values.shape} do not belong to {len(poses)} poses: give "
+                f"({len(poses) - 1}, {NUM_ACTIONS}), one row for each pose but the last"
+            )
     episode = _Episode(
         world,
         poses,
@@ -105,6 +117,7 @@ def animate_episode(
         camera or DepthCamera(),
         task or Task(),
         robot,
+        q_values,
     )
     frame_rate = speed / episode.task.control_period
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -118,6 +131,12 @@ def animate_episode(
             path, np.stack(images), fps=frame_rate, codec="libx264", macro_block_size=2, pixelformat="yuv420p"
         )
     return path
+
+
+def check_animation_path(path: Path) -> None:
+    """Raises ValueError for a file name that :func:`animate_episode` cannot write to."""
+    if path.suffix.lower() not in ANIMATION_SUFFIXES:
+        raise ValueError(f"{path}: animations are written as {' or '.join(ANIMATION_SUFFIXES)}")
 
 
 def _frames(episode: _Episode) -> Iterator[np.ndarray]:
@@ -157,6 +176,7 @@ class _Stage:
             self._needle,
             self._words,
             self._verdict,
+            *(self._bars.artists if self._bars else ()),
         )
         for artist in self.moving:
             artist.set_animated(True)
@@ -187,12 +207,14 @@ class _Stage:
         self._trail = plan.add_line(Line2D([], [], color=OUTCOME_COLOURS["success"], lw=1.8, zorder=3.3))
         self._nose = plan.add_line(Line2D([], [], color=INK, lw=1.4, zorder=4.1))
 
-        sight = self.figure.add_axes((0.56, 0.37, 0.36, 0.56))
+        shows_values = episode.q_values is not None
+        sight = self.figure.add_axes((0.56, 0.55, 0.36, 0.38) if shows_values else (0.56, 0.37, 0.36, 0.56))
         self._image = draw_depth(sight, self._depths[0], episode.camera, colour_bar=False)
         draw_scale(sight, self._image, "depth, m")
         sight.set_title("what the camera sees", fontsize=10, color=INK, loc="left")
 
-        dial = self.figure.add_axes((0.555, 0.03, 0.15, 0.29))
+        self._bars = _Bars(self.figure.add_axes((0.56, 0.33, 0.42, 0.15))) if shows_values else None
+        dial = self.figure.add_axes((0.555, 0.01, 0.14, 0.24) if shows_values else (0.555, 0.03, 0.15, 0.29))
         draw_dial(dial)
         self._needle = PolygonPatch(_needle(0.0), fc=GOAL, ec="none")
         dial.add_patch(self._needle)
@@ -218,10 +240,44 @@ class _Stage:
         if index < len(episode.actions):
             words.append(f"action  {ACTION_LABELS[int(episode.actions[index])]}")
         self._words.set_text("\n".join(words))
+        if self._bars and episode.q_values is not None and index < len(episode.q_values):
+            self._bars.show(episode.q_values[index])
         if index == len(episode.poses) - 1 and episode.outcome is not None:
             for artist in (self._verdict, self._trail):
                 artist.set_color(OUTCOME_COLOURS[episode.outcome])
             self._verdict.set_text(episode.outcome)
+
+
+class _Bars:
+    """Q-values as bars that start below the least of them, since their differences are what decides."""
+
+    _FOOT, _TOP = 0.15, 1.4  # height of the least bar, and of the picture; the greatest bar is 1 high
+
+    def __init__(self, axes: Axes) -> None:
+        self._bars = list(axes.bar(range(NUM_ACTIONS), [0.0] * NUM_ACTIONS, width=0.72))
+        self._labels = [
+            axes.text(action, 0.0, "", fontsize=7.5, ha="center", va="bottom", color=INK)
+            for action in range(NUM_ACTIONS)
+        ]
+        axes.set_xticks(range(NUM_ACTIONS), ACTION_LABELS, fontsize=7.5, color=INK)
+        axes.set(ylim=(0.0, self._TOP), yticks=[])
+        axes.tick_params(axis="x", length=0)
+        axes.spines[["top", "right", "left"]].set_visible(False)
+        axes.spines["bottom"].set_color(QUIET_INK)
+        axes.set_title("what it expects of each action (Q-values)", fontsize=10, color=INK, loc="left")
+        self.artists: tuple[Artist, ...] = (*self._bars, *self._labels)
+
+    def show(self, q_values: np.ndarray) -> None:
+        """Sets the bars to the values ``(7,)``; the greatest, which the robot acts on, is in colour."""
+        best, least = int(q_values.argmax()), q_values.min()
+        spread = max(float(np.ptp(q_values)), 1e-6)
+        for action, (bar, label, value) in enumerate(zip(self._bars, self._labels, q_values, strict=True)):
+            height = self._FOOT + (1.0 - self._FOOT) * float(value - least) / spread
+            bar.set_height(height)
+            bar.set_facecolor(OUTCOME_COLOURS["success"] if action == best else _OTHER_BARS)
+            label.set_y(height + 0.04)
+            label.set_text(f"{value:.3f}")
+            label.set_fontweight("bold" if action == best else "normal")
 
 
 def _needle(angle: float) -> np.ndarray:

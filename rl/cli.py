@@ -126,7 +126,7 @@ def evaluate(
     """Drive all paths of a world with a trained policy or a baseline, and print how that went.
 
     Args:
-        run: Directory of a run, or one of the baselines random, straight, reactive, oracle.
+        run: Directory of a run, pretrained:NAME, or one of the baselines random, straight, reactive, oracle.
         world: World file, or name of a shipped world.
         json: File to write every path and all the numbers to.
         seed: Seed of whatever the world leaves open: yaws of starts, starts, goals.
@@ -153,6 +153,34 @@ def evaluate(
     if json is not None:
         result.save(json)
         console.print(f"written to {json}")
+
+
+@_navsim.command
+def drive(
+    policy: Positional[str],
+    world: Annotated[str, arg(metavar="WORLD")],
+    output: Annotated[Path, arg(aliases=["-o"], metavar="FILE")] = Path("drive.mp4"),
+    start: Annotated[int | None, arg(help_behavior_hint="(default: the first)")] = None,
+    goal: Annotated[int | None, arg(help_behavior_hint="(default: the farthest)")] = None,
+    seed: int = 0,
+    speed: float = 2.0,
+) -> None:
+    """Film one drive: plan view, depth image, the goal's direction, and the Q-values as bars.
+
+    Args:
+        policy: Directory of a run, pretrained:NAME, or one of the baselines random, straight, reactive, oracle.
+        world: World file, or name of a shipped world.
+        output: Film to write: .mp4 or .gif.
+        start: Which of the world's starts, counted from 1.
+        goal: Which of the world's goals, counted from 1.
+        seed: Seed of whatever the world leaves open: yaws of starts, starts, goals.
+        speed: How many times faster than real time the film plays.
+    """
+    from rl.drive import drive as film
+
+    with busy("driving and filming"):
+        result = film(policy, world, output, start=start, goal=goal, seed=seed, speed=speed)
+    print(f"{output}: {result.outcome} after {result.steps} steps, {result.path_length:.1f} m")
 
 
 @_navsim.command

@@ -95,6 +95,22 @@ def test_the_task_sets_the_pace_and_the_goal_disc(tmp_path):
     assert imageio.immeta(path, index=0)["duration"] == 500
 
 
+def test_q_values_are_bars_and_the_greatest_is_in_colour(tmp_path):
+    values = np.zeros((9, 7))
+    values[:5, 1], values[5:, 6] = 1.0, 1.0
+    path = animate_episode(tmp_path / "episode.gif", WORLD, DRIVE, (2.0, 0.0), q_values=values)
+    frames = imageio.imread(path)
+    bars = (slice(270, 348), slice(540, 942))
+    for frame, action in ((frames[0], 1), (frames[6], 6)):
+        columns = pixels(frame[bars], OUTCOME_COLOURS["success"])[:, 1]
+        assert columns.mean() / 402 == pytest.approx((action + 0.7) / 7.4, abs=0.03)
+
+
+def test_q_values_that_do_not_belong_to_the_poses_are_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"Q-values of shape \(10, 7\) do not belong to 10 poses: give \(9, 7\)"):
+        animate_episode(tmp_path / "episode.gif", WORLD, DRIVE, (2.0, 0.0), q_values=np.zeros((10, 7)))
+
+
 @pytest.mark.parametrize(
     ("name", "poses", "message"),
     [

@@ -1,0 +1,122 @@
+"""One episode as a film: a policy drives a path of a world, and what it sees and expects is shown."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal, TypeVar
+
+import numpy as np
+import torch
+from rich.console import Console
+from tensordict import TensorDictBase
+
+from navsim.animation import animate_episode, check_animation_path
+from navsim.world import Goal, Start
+from navsim.worldfile import load_world
+from rl.evaluation import PathResult, Planner, evaluate
+from rl.policies import find_policy
+
+_Place = TypeVar("_Place", Start, Goal)
+
+
+def drive(
+    policy: str,
+    world: str,
+    output: Path,
+    *,
+    start: int | None = None,
+    goal: int | None = None,
+    seed: int = 0,
+    speed: float = 2.0,
+    console: Console | None = None,
+) -> PathResult:
+    """Drives one path with a policy and writes the episode as a film.
+
+    Args:
+        policy: what ``rl.policies.find_policy`` takes: a run's directory, ``pretrained:NAME``, or a baseline.
+        world: a world file, or the name of a shipped world.
+        output: film to write, ``.mp4`` or ``.gif``.
+        start: which of the world's starts, counted from 1 as in the file; by default the first.
+        goal: which of the world's goals, counted from 1; by default the one that is farthest from the start.
+        seed: of what the world leaves open: yaws, random starts and goals.
+        speed: how many times faster than real time the film plays.
+        console: where progress is shown; nowhere by default.
+
+    Returns:
+        what became of the path.
+
+    Raises:
+        ValueError: for a file name with another suffix, or a start or goal that the world does not have.
+        RunError: for a policy that there is not, or that cannot be used.
+        navsim.WorldError: for a world file that cannot be used.
+    """
+    check_animation_path(output)
+    room = load_world(world)
+    starts = _chosen("start", room.starts, start, room.name)
+    goals = _chosen("goal", room.goals, goal, room.name)
+    if not isinstance(starts, str) and start is None:
+        starts = starts[:1]
+    if not isinstance(goals, str) and not isinstance(starts, str) and goal is None:
+        goals = (max(goals, key=lambda place: np.hypot(*np.subtract(place.at, starts[0].at))),)
+    elif not isinstance(goals, str) and goal is None:
+        goals = goals[:1]
+    driver, config = find_policy(policy)
+    watched = driver if isinstance(driver, Planner) else _Watched(driver)
+    result = evaluate(
+        watched,
+        room.model_copy(update={"starts": starts, "goals": goals}),
+        name=policy,
+        camera=config.camera,
+        task=config.task,
+        robot=config.robot,
+        seed=seed,
+        num_paths=1,
+        console=console,
+    ).paths[0]
+    animate_episode(
+        output,
+        room,
+        result.trajectory,
+        result.goal,
+        actions=result.actions,
+        outcome=result.outcome,
+        camera=config.camera,
+        task=config.task,
+        robot=config.robot,
+        q_values=watched.q_values if isinstance(watched, _Watched) else None,
+        speed=speed,
+    )
+    return result
+
+
+def _chosen(
+    kind: str, places: tuple[_Place, ...] | Literal["random"], number: int | None, world: str
+) -> tuple[_Place, ...] | Literal["random"]:
+    """The places to draw from, or the one that ``number`` names."""
+    if number is None:
+        return places
+    if isinstance(places, str):
+        raise ValueError(f'world "{world}" draws its {kind}s at random; leave --{kind} out, and vary --seed instead')
+    if not 1 <= number <= len(places):
+        raise ValueError(f'world "{world}" has {kind}s 1 to {len(places)}; --{kind} asks for {number}')
+    return (places[number - 1],)
+
+
+class _Watched:
+    """A policy that remembers the Q-values it acted on, if it has any."""
+
+    def __init__(self, policy: Callable[[TensorDictBase], TensorDictBase]) -> None:
+        self._policy = policy
+        self._values: list[torch.Tensor] = []
+
+    def __call__(self, state: TensorDictBase) -> TensorDictBase:
+        state = self._policy(state)
+        if "action_value" in state:
+            self._values.append(state["action_value"][0].clone())
+        return state
+
+    @property
+    def q_values(self) -> np.ndarray | None:
+        """``(K, 7)`` of the K steps; None for a policy without."""
+        return torch.stack(self._values).cpu().numpy() if self._values else None

@@ -1,0 +1,105 @@
+"""Policies that come with the library: weights, and the settings that they were trained with, in one file each.
+
+The files lie in ``rl/pretrained_policies``: ``NAME.safetensors`` (nothing in such a file is ever executed), weights in
+half precision, settings as JSON in its header; and beside it ``NAME.md``, its model card.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import os
+import tempfile
+from pathlib import Path
+
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torchrl.modules import QValueActor
+
+from rl.config import TrainConfig
+from rl.learner import make_actor
+from rl.run import Run, RunError
+from rl.weights import misfit
+
+PREFIX = "pretrained:"
+"""What a policy's name begins with that comes with the library."""
+LARGEST_FILE = 4 * 2**20
+"""Bytes that a packed policy may have: it travels inside the wheel."""
+
+_DIRECTORY = Path(__file__).parent / "pretrained_policies"
+
+
+def pretrained_policies() -> list[str]:
+    """Names of the policies that come with the library, as they follow ``pretrained:``."""
+    return sorted(path.stem for path in _DIRECTORY.glob("*.safetensors"))
+
+
+def load_pretrained(name: str) -> tuple[QValueActor, TrainConfig]:
+    """A policy that comes with the library, acting greedily, and the settings that it was trained with.
+
+    Args:
+        name: one of ``pretrained_policies()``, with or without ``pretrained:`` before it.
+
+    Raises:
+        RunError: for a name that there is not.
+    """
+    name = name.removeprefix(PREFIX)
+    known = pretrained_policies()
+    if name not in known:
+        meant = difflib.get_close_matches(name, known, n=1, cutoff=0.4)
+        remedy = f'did you mean "{PREFIX}{meant[0]}"?' if meant else f"there are: {', '.join(known)}"
+        raise RunError(f'no policy "{PREFIX}{name}" comes with the library; {remedy}')
+    return read_policy(_DIRECTORY / f"{name}.safetensors")
+
+
+def pack_policy(run: Run, path: Path) -> None:
+    """Writes a run's best policy as one file, in half precision.
+
+    Args:
+        run: a run that has been evaluated.
+        path: to write; it appears when it is complete.
+
+    Raises:
+        RunError: for a run that lacks its weights, or whose packed weights exceed ``LARGEST_FILE``.
+    """
+    halved = {name: weight.half().contiguous() for name, weight in run.load_policy("policy").items()}
+    size = sum(weight.numel() * weight.element_size() for weight in halved.values())
+    if size > LARGEST_FILE:
+        raise RunError(f"{run.directory}: the packed policy has {size / 2**20:.1f} MiB, more than the 4 MiB allowed")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    os.close(handle)
+    settings = run.config.to_dict() | {"out": None}  # where it was trained is nobody's business
+    try:
+        save_file(halved, temporary, metadata={"format": "1", "settings": json.dumps(settings)})
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def read_policy(path: Path) -> tuple[QValueActor, TrainConfig]:
+    """The policy that :func:`pack_policy` wrote, acting greedily in single precision, and its settings.
+
+    Raises:
+        RunError: for a file that is missing, damaged, or not such a file.
+    """
+    try:
+        with safe_open(path, framework="pt") as file:
+            metadata = file.metadata() or {}
+            weights = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118 - not a dict
+    except (OSError, SafetensorError) as error:
+        raise RunError(f"{path} cannot be read as a packed policy: {error}") from error
+    if metadata.get("format") != "1" or "settings" not in metadata:
+        raise RunError(f"{path} holds no packed policy of format 1: it was not written by pack_policy")
+    try:
+        config = TrainConfig.from_dict(json.loads(metadata["settings"]))
+    except (ValueError, TypeError) as error:
+        raise RunError(f"{path} holds settings that cannot be used: {error}") from error
+    actor = make_actor(config)
+    reason = misfit(actor.state_dict(), weights)
+    if reason:
+        raise RunError(f"{path} holds weights that do not fit its settings: {reason}")
+    actor.load_state_dict(weights)
+    return actor.eval(), config

@@ -1,0 +1,84 @@
+"""Filming one drive of a policy."""
+
+from __future__ import annotations
+
+import imageio.v3 as imageio
+import numpy as np
+import pytest
+import torch
+
+import rl.drive
+from navsim.camera import DepthCamera
+from navsim.worldfile import load_world
+from rl.cli import main
+from rl.config import TrainConfig
+from rl.drive import drive
+from rl.learner import make_actor
+from rl.run import Run
+
+
+@pytest.fixture
+def run(tmp_path):
+    torch.manual_seed(0)
+    run = Run.create(TrainConfig(camera=DepthCamera(width=14, height=10), out=tmp_path / "run"))
+    run.save_policy("policy", make_actor(run.config).state_dict())
+    return run
+
+
+@pytest.fixture
+def filmed(monkeypatch):
+    """What is given to the animation, which is tested where it is."""
+    given = {}
+
+    def note(path, world, poses, goal, **settings):
+        given.update(settings, path=path, world=world, poses=poses, goal=goal)
+        return path
+
+    monkeypatch.setattr(rl.drive, "animate_episode", note)
+    return given
+
+
+def test_the_q_values_shown_are_those_that_were_acted_on(run, filmed, tmp_path):
+    result = drive(str(run.directory), "simple_eval", tmp_path / "a.mp4")
+    assert filmed["q_values"].shape == (result.steps, 7)
+    assert (filmed["q_values"].argmax(axis=1) == result.actions).all()
+    assert (filmed["actions"] == result.actions).all()
+
+
+def test_the_path_is_the_one_that_was_asked_for(filmed, tmp_path):
+    world = load_world("simple_eval")
+    result = drive("straight", "simple_eval", tmp_path / "a.gif", start=2, goal=3)
+    np.testing.assert_allclose(result.trajectory[0, :2], world.starts[1].at)
+    assert result.goal == world.goals[2].at
+    assert filmed["q_values"] is None
+
+
+def test_by_default_it_drives_from_the_first_start_to_the_goal_farthest_from_it(filmed, tmp_path):
+    world = load_world("simple_eval")
+    result = drive("straight", "simple_eval", tmp_path / "a.gif")
+    np.testing.assert_allclose(result.trajectory[0, :2], world.starts[0].at)
+    offsets = np.subtract([goal.at for goal in world.goals], world.starts[0].at)
+    assert np.hypot(*np.subtract(result.goal, world.starts[0].at)) == pytest.approx(np.hypot(*offsets.T).max())
+
+
+def test_a_drive_makes_a_film(run, tmp_path, capsys):
+    film = tmp_path / "drive.gif"
+    assert main(["drive", str(run.directory), "--world", "simple_eval", "-o", str(film)]) == 0
+    assert str(film) in capsys.readouterr().out
+    assert imageio.imread(film).shape[1:] == (520, 960, 3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["oracle", "--world", "simple_eval", "-o", "a.avi"], r"a.avi: animations are written as .gif or .mp4"),
+        (["oracle", "--world", "simple_eval", "--start", "9"], 'world "simple_eval" has starts 1 to 5; --start asks'),
+        (["pretrained:nonsense", "--world", "simple_eval"], 'no policy "pretrained:nonsense"'),
+        (["oracel", "--world", "simple_eval"], 'did you mean "oracle"?'),
+    ],
+)
+def test_a_mistake_is_told_in_a_sentence(tmp_path, monkeypatch, capsys, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    assert main(["drive", *arguments]) == 2
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
