@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import os
 from pathlib import Path
+from typing import Literal
 
 from torchrl.modules import QValueActor
 
@@ -38,8 +39,8 @@ def find_policy(name: str) -> tuple[QValueActor | Baseline, TrainConfig]:
     return load_policy(name), Run(name).config
 
 
-def load_policy(run: str | os.PathLike[str]) -> QValueActor:
-    """The policy that a run ended with (the weights that did best in its evaluations), acting greedily.
+def load_policy(run: str | os.PathLike[str], *, weights: Literal["best", "last"] = "best") -> QValueActor:
+    """The policy that a run has learnt, acting greedily.
 
     It reads ``depth`` uint8 ``(..., 4, H, W)`` and ``heading`` float32 ``(..., 1)``, images of the size that it was
     trained with, and writes ``action``, ``action_value`` and ``chosen_action_value``. Nothing in the run's files is
@@ -47,6 +48,7 @@ def load_policy(run: str | os.PathLike[str]) -> QValueActor:
 
     Args:
         run: the directory that ``navsim train`` wrote, or ``pretrained:NAME`` for a policy that comes with the library.
+        weights: of a run: those that did best in its evaluations, or the last.
 
     Raises:
         RunError: for a directory without a run, and for files that are missing, damaged or do not fit together.
@@ -56,12 +58,13 @@ def load_policy(run: str | os.PathLike[str]) -> QValueActor:
     opened = Run.open(Path(run))
     config = opened.config
     actor = make_actor(config)
-    weights = opened.load_policy("policy")
-    reason = misfit(actor.state_dict(), weights)
+    name = {"best": "policy", "last": "policy_last"}[weights]
+    found = opened.load_policy(name)
+    reason = misfit(actor.state_dict(), found)
     if reason:
         raise RunError(
-            f"{opened.directory / 'policy.pt'} does not fit config.json beside it (model {config.model}, images of "
+            f"{opened.directory / name}.pt does not fit config.json beside it (model {config.model}, images of "
             f"{config.camera.width}x{config.camera.height}): {reason}; restore the file that belongs to the run"
         )
-    actor.load_state_dict(weights)
+    actor.load_state_dict(found)
     return actor.eval()

@@ -1,0 +1,379 @@
+"""The thesis's experiment as a matrix of runs, its tables 6.1 to 6.4 and its figures 6.1 to 6.11.
+
+A *cell* is one training run: a model, an image size, a room and a seed. Each is trained with the preset ``thesis``, and
+then its last weights (the thesis had no other) drive the paths of both evaluation rooms. A finished cell is skipped,
+and one that was interrupted goes on, so that the matrix can be run in as many pieces as there are evenings.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import statistics
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from rich.console import Console
+from tensordict import TensorDict
+from torchrl.modules import QValueActor
+
+from navsim.camera import DepthCamera
+from navsim.draw import ACTION_LABELS, INK, OUTCOME_COLOURS, QUIET_INK, new_figure, save_figure
+from navsim.raycast import render_depth
+from navsim.worldfile import load_world
+from rl.config import PRESETS, Model, TrainConfig
+from rl.env import NUM_FRAMES
+from rl.evaluation import Evaluation, evaluate
+from rl.figures import choose_examples, example_paths
+from rl.policies import load_policy
+from rl.run import Run, atomic_write, write_json
+from rl.train import train
+
+ROOMS = ("simple", "complex")
+"""Each is trained in as ``ROOM_train`` and evaluated in as ``ROOM_eval``."""
+SIZES = ((80, 64), (160, 128))
+"""Depth images, columns and rows."""
+MODELS: tuple[Model, ...] = ("I", "S")
+REPORTED = {("I", "complex"): 0.88, ("S", "complex"): 0.67}
+"""Share of goals that the thesis reports for a model trained and evaluated in a room, where this project knows it."""
+
+_MODEL_COLOURS = {"I": OUTCOME_COLOURS["success"], "S": OUTCOME_COLOURS["collision"]}
+_ACTION_COLOURS = ("#9aa3ad", INK, "#0072B2", "#56B4E9", "#009E73", "#E69F00", "#D55E00")
+
+
+class Cell(NamedTuple):
+    """One training run of the matrix."""
+
+    model: Model
+    width: int
+    height: int
+    room: str
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """Of the run's directory and of its results."""
+        return f"{self.model}-{self.width}x{self.height}-{self.room}-seed{self.seed}"
+
+    def config(self, directory: Path, total_steps: int | None = None) -> TrainConfig:
+        """The settings of its run, which lies in ``directory``; ``total_steps`` for a shorter one than the thesis's."""
+        thesis = PRESETS["thesis"]
+        return dataclasses.replace(
+            thesis,
+            model=self.model,
+            camera=dataclasses.replace(thesis.camera, width=self.width, height=self.height),
+            world=(f"{self.room}_train",),
+            eval_world=f"{self.room}_eval",
+            seed=self.seed,
+            total_steps=total_steps or thesis.total_steps,
+            report=False,
+            out=directory / self.name,
+        )
+
+
+def cells(
+    models: Sequence[Model] = MODELS,
+    sizes: Sequence[tuple[int, int]] = SIZES,
+    rooms: Sequence[str] = ROOMS,
+    seeds: Sequence[int] = (0, 1, 2),
+) -> list[Cell]:
+    """The matrix: small images first, and the first seed of everything before the second of anything."""
+    return [
+        Cell(model, *size, room, seed)
+        for size in sizes
+        for seed in seeds
+        for room in reversed(rooms)
+        for model in models
+    ]
+
+
+def reproduce(
+    chosen: Iterable[Cell],
+    *,
+    runs: Path,
+    results: Path,
+    total_steps: int | None = None,
+    console: Console | None = None,
+) -> None:
+    """Trains and evaluates what is not finished yet, and writes tables and figures of what is.
+
+    Args:
+        chosen: the cells, in the order in which they are run.
+        runs: where the runs lie; large, needed only to go on with them.
+        results: where JSON, tables and figures go; they are written anew after each cell.
+        total_steps: transitions of each run in place of the thesis's 400,000, to try it out.
+        console: where progress is shown; standard output by default.
+
+    Raises:
+        navsim.WorldError, RunError: for files that cannot be used.
+    """
+    console = console or Console()
+    chosen = list(chosen)
+    for number, cell in enumerate(chosen, 1):
+        finished = results / "cells" / f"{cell.name}.json"
+        if finished.exists():
+            console.print(f"[{number}/{len(chosen)}] {cell.name}: finished before")
+            continue
+        console.print(f"[{number}/{len(chosen)}] {cell.name}")
+        config = cell.config(runs, total_steps)
+        run = train(config, resume=Run(config.directory).exists, console=console)
+        write_json(finished, _results_of(cell, run, console))
+        write_up(results)
+    write_up(results)
+
+
+def _results_of(cell: Cell, run: Run, console: Console) -> dict[str, Any]:
+    """What becomes of a finished run: its curves, and its last weights' evaluations in both rooms."""
+    config, actor = run.config, load_policy(run.directory, weights="last")
+    evaluations = {
+        room: evaluate(
+            actor,
+            f"{room}_eval",
+            name=f"D3QN-{cell.model}",
+            camera=config.camera,
+            task=config.task,
+            robot=config.robot,
+            seed=cell.seed,
+            console=console,
+        )
+        for room in ROOMS
+    }
+    metrics = run.metrics.rows()
+    curves = {key: [_number(row[key]) for row in metrics] for key in ("step", "seconds", "reward", "max_q")}
+    logged = run.evaluations.rows()
+    return {
+        **cell._asdict(),
+        "total_steps": config.total_steps,
+        "training": curves,
+        "evaluations": {
+            key: [_number(row[key]) for row in logged] for key in ("step", "seconds", "success_rate", "spl", "reward")
+        },
+        "final": {room: evaluation.to_dict() for room, evaluation in evaluations.items()},
+        "q_over_headings": {
+            place: q_over_headings(actor, config.camera, pose, f"{cell.room}_eval").round(5).tolist()
+            for place, pose in Q_PLACES.items()
+        },
+    }
+
+
+def _number(text: str) -> float | None:
+    return float(text) if text else None
+
+
+HEADINGS = np.linspace(-math.pi, math.pi, 73)
+"""Goal directions of the Q-value figures, radians."""
+Q_PLACES = {"free way": (-2.6, 0.0, 0.0), "wall ahead": (2.4, 0.0, 0.0)}
+"""Poses (x, y, yaw) in the evaluation room of the Q-value figures."""
+
+
+def q_over_headings(
+    actor: QValueActor, camera: DepthCamera, pose: tuple[float, float, float], world: str
+) -> np.ndarray:
+    """Q-values ``(73, 7)`` of a robot that stands at ``pose`` (m, m, rad), for goals in the directions ``HEADINGS``."""
+    image = camera.to_uint8(camera.from_planar(render_depth(load_world(world), np.array([pose]), camera)))
+    stack = torch.from_numpy(image).unsqueeze(1).repeat(len(HEADINGS), NUM_FRAMES, 1, 1)
+    angles = torch.from_numpy(HEADINGS.astype(np.float32)).unsqueeze(-1)
+    with torch.no_grad():
+        return actor(TensorDict({"depth": stack, "heading": angles}, [len(HEADINGS)]))["action_value"].numpy()
+
+
+def write_up(results: Path) -> None:
+    """Writes ``tables.md`` and the figures from the finished cells' JSON in ``results / "cells"``."""
+    finished = [json.loads(file.read_text(encoding="utf-8")) for file in sorted((results / "cells").glob("*.json"))]
+    if not finished:
+        return
+    with atomic_write(results / "tables.md") as file:
+        file.write(tables(finished))
+    for name, figure in figures(finished):
+        save_figure(figure, results / f"{name}.png")
+
+
+def tables(finished: Sequence[dict[str, Any]]) -> str:
+    """Tables 6.1 to 6.4 in the thesis's form, as Markdown: one a model and image size, trained in by evaluated in."""
+    parts = []
+    combinations = [(model, size) for size in SIZES for model in MODELS]
+    for number, (model, (width, height)) in enumerate(combinations, 1):
+        mine = [cell for cell in finished if (cell["model"], cell["width"], cell["height"]) == (model, width, height)]
+        parts.append(f"### Table 6.{number}: D3QN-{model}, {width}x{height}\n")
+        if not mine:
+            parts.append("Not run yet.\n")
+            continue
+        parts.append(
+            "| trained in | evaluated in | goals reached, % | each seed | 95% interval | thesis | reward | SPL |"
+        )
+        parts.append("|---|---|---|---|---|---|---|---|")
+        for trained in ROOMS:
+            for evaluated in ROOMS:
+                results = [_evaluation(cell, evaluated) for cell in mine if cell["room"] == trained]
+                if results:
+                    parts.append(_row(model, trained, evaluated, results))
+        parts.append("")
+    return "\n".join(parts)
+
+
+def _evaluation(cell: dict[str, Any], room: str) -> Evaluation:
+    return Evaluation.from_dict(cell["final"][room])
+
+
+def _row(model: str, trained: str, evaluated: str, results: Sequence[Evaluation]) -> str:
+    pooled = dataclasses.replace(results[0], paths=tuple(path for result in results for path in result.paths))
+    low, high = pooled.interval("success")
+    thesis = REPORTED.get((model, evaluated)) if trained == evaluated else None
+    return " | ".join(
+        [
+            f"| {trained}",
+            evaluated,
+            f"{100 * pooled.success_rate:.1f}",
+            ", ".join(f"{100 * result.success_rate:.0f}" for result in results),
+            f"{100 * low:.0f}–{100 * high:.0f}",
+            "" if thesis is None else f"{100 * thesis:.0f}",
+            f"{statistics.fmean(result.mean_reward for result in results):+.2f}",
+            f"{statistics.fmean(result.spl for result in results):.2f} |",
+        ]
+    )
+
+
+def figures(finished: Sequence[dict[str, Any]]) -> Iterable[tuple[str, Figure]]:
+    """Figures 6.1 to 6.11 with their file names, of the cells with 80x64 images; those without data are left out."""
+    small = [cell for cell in finished if (cell["width"], cell["height"]) == SIZES[0]]
+    for number, (key, label) in enumerate((("reward", "reward of an episode"), ("max_q", "mean greatest Q-value"))):
+        for offset, room in enumerate(ROOMS):
+            mine = [cell for cell in small if cell["room"] == room]
+            if mine:
+                yield f"figure-6-{2 * number + offset + 1:02d}-{key}-{room}", _curves(mine, key, label, room)
+    if small:
+        yield "figure-6-05-goals-reached", _goals_reached(small)
+        yield "figure-6-06-longer-training", _longer_training(small)
+    for number, model in enumerate(MODELS, 7):
+        mine = [cell for cell in small if cell["model"] == model and cell["room"] == "complex"]
+        if mine:
+            yield f"figure-6-{number:02d}-q-values-{model}", _q_values(mine[0])
+    if small:
+        yield "figure-6-09-actions", _actions(small)
+    for number, model in enumerate(MODELS, 10):
+        mine = [cell for cell in small if cell["model"] == model and cell["room"] == "complex"]
+        if mine:
+            examples = choose_examples(_evaluation(mine[0], "complex"))
+            task = PRESETS["thesis"].task
+            yield f"figure-6-{number:02d}-paths-{model}", example_paths(load_world("complex_eval"), examples, task)
+
+
+def _axes(title: str, x: str, y: str, width: float = 7.0) -> tuple[Figure, Axes]:
+    figure = new_figure(width, 4.0)
+    axes = figure.add_subplot()
+    axes.set_title(title, fontsize=11, color=INK, loc="left")
+    axes.set_xlabel(x, fontsize=9, color=QUIET_INK)
+    axes.set_ylabel(y, fontsize=9, color=QUIET_INK)
+    axes.tick_params(labelsize=8, colors=QUIET_INK)
+    axes.grid(axis="y", color="#e4e7eb", lw=0.7)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    return figure, axes
+
+
+def _curves(mine: Sequence[dict[str, Any]], key: str, label: str, room: str) -> Figure:
+    """A quantity of training by steps: each seed thin, their mean thick, by model."""
+    figure, axes = _axes(f"{label}, training in {room}_train", "environment steps", label)
+    for model in MODELS:
+        runs = [cell["training"] for cell in mine if cell["model"] == model]
+        if not runs:
+            continue
+        length = min(len(run["step"]) for run in runs)
+        values = np.array([[np.nan if value is None else value for value in run[key][:length]] for run in runs])
+        for line in values:
+            axes.plot(runs[0]["step"][:length], line, color=_MODEL_COLOURS[model], lw=0.7, alpha=0.5)
+        axes.plot(
+            runs[0]["step"][:length],
+            values.mean(axis=0),
+            color=_MODEL_COLOURS[model],
+            lw=2.0,
+            label=f"D3QN-{model} ({len(runs)} seeds)",
+        )
+    axes.legend(fontsize=8, frameon=False, labelcolor=INK)
+    return figure
+
+
+def _goals_reached(small: Sequence[dict[str, Any]]) -> Figure:
+    """Goals reached in each evaluation room, trained in the room of the same kind: mean, each seed, and the thesis."""
+    figure, axes = _axes("goals reached after training", "", "% of the paths")
+    for position, (room, model) in enumerate((room, model) for room in ROOMS for model in MODELS):
+        rates = [
+            100 * _evaluation(cell, room).success_rate
+            for cell in small
+            if (cell["room"], cell["model"]) == (room, model)
+        ]
+        if rates:
+            axes.bar(position, statistics.fmean(rates), width=0.65, color=_MODEL_COLOURS[model], alpha=0.85)
+            axes.plot([position] * len(rates), rates, "o", color=INK, ms=4, mfc="white")
+        if (model, room) in REPORTED:
+            reported = 100 * REPORTED[model, room]
+            axes.plot([position - 0.4, position + 0.4], [reported] * 2, color=INK, lw=1.5, ls=(0, (3, 2)))
+            axes.text(position + 0.42, reported, "thesis", fontsize=8, va="center", color=INK)
+    labels = [f"D3QN-{model}\n{room}" for room in ROOMS for model in MODELS]
+    axes.set_xticks(range(len(labels)), labels, fontsize=9, color=INK)
+    axes.set_ylim(0, 100)
+    return figure
+
+
+def _longer_training(small: Sequence[dict[str, Any]]) -> Figure:
+    """Goals reached in the evaluation room by steps of training: what training longer brings."""
+    figure, axes = _axes("goals reached by length of training", "environment steps", "% of the paths")
+    for cell in small:
+        rates = [100 * value for value in cell["evaluations"]["success_rate"]]
+        style = "-" if cell["room"] == "complex" else (0, (3, 2))
+        label = f"D3QN-{cell['model']}, {cell['room']}" if cell["seed"] == min(c["seed"] for c in small) else None
+        axes.plot(
+            cell["evaluations"]["step"],
+            rates,
+            ls=style,
+            marker="o",
+            ms=3,
+            lw=1.2,
+            color=_MODEL_COLOURS[cell["model"]],
+            label=label,
+        )
+    axes.set_ylim(0, 100)
+    axes.legend(fontsize=8, frameon=False, labelcolor=INK, ncols=2)
+    return figure
+
+
+def _q_values(cell: dict[str, Any]) -> Figure:
+    """Q-values of the seven actions over the goal's direction, where the way is free and before a wall."""
+    figure = new_figure(10.0, 4.0)
+    all_axes = figure.subplots(1, len(Q_PLACES), sharey=True)
+    for axes, place in zip(all_axes, Q_PLACES, strict=True):
+        values = np.array(cell["q_over_headings"][place])
+        for action, label in enumerate(ACTION_LABELS):
+            axes.plot(np.degrees(HEADINGS), values[:, action], color=_ACTION_COLOURS[action], lw=1.4, label=label)
+        axes.set_title(f"D3QN-{cell['model']}: {place}", fontsize=10, color=INK, loc="left")
+        axes.set_xlabel("direction of the goal, degrees (left positive)", fontsize=9, color=QUIET_INK)
+        axes.set_xticks(range(-180, 181, 90))
+        axes.tick_params(labelsize=8, colors=QUIET_INK)
+        axes.spines[["top", "right"]].set_visible(False)
+    all_axes[0].set_ylabel("Q", fontsize=9, color=QUIET_INK)
+    all_axes[-1].legend(fontsize=8, frameon=False, labelcolor=INK)
+    return figure
+
+
+def _actions(small: Sequence[dict[str, Any]]) -> Figure:
+    """Share of each action in the complex evaluation room, by model, over all seeds trained in the complex room."""
+    figure, axes = _axes("actions taken in complex_eval", "", "% of the steps")
+    for offset, model in zip((-0.2, 0.2), MODELS, strict=True):
+        shares = [
+            _evaluation(cell, "complex").action_distribution
+            for cell in small
+            if (cell["model"], cell["room"]) == (model, "complex")
+        ]
+        if shares:
+            positions = np.arange(len(ACTION_LABELS)) + offset
+            heights = 100 * np.mean(shares, axis=0)
+            axes.bar(positions, heights, width=0.38, color=_MODEL_COLOURS[model], label=f"D3QN-{model}")
+    axes.set_xticks(range(len(ACTION_LABELS)), ACTION_LABELS, fontsize=9, color=INK)
+    axes.legend(fontsize=8, frameon=False, labelcolor=INK)
+    return figure

@@ -1,0 +1,45 @@
+"""The thesis's experiment: python scripts/reproduce.py --help
+
+Runs {D3QN-I, D3QN-S} x {80x64, 160x128} x {simple, complex} x seeds with the preset "thesis", and writes the tables
+and figures of the thesis. It may be interrupted at any point: what is finished is skipped, what is not goes on.
+"""
+
+import sys
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from rl.reproduce import cells
+from rl.reproduce import reproduce as run_matrix
+
+
+def reproduce(
+    models: tuple[Literal["I", "S"], ...] = ("I", "S"),
+    sizes: tuple[Literal["80x64", "160x128"], ...] = ("80x64", "160x128"),
+    rooms: tuple[Literal["simple", "complex"], ...] = ("simple", "complex"),
+    seeds: tuple[int, ...] = (0, 1, 2),
+    total_steps: int | None = None,
+    runs: Path = Path("runs/reproduce"),
+    results: Path = Path("docs/results/reproduce"),
+) -> None:
+    """Run the thesis's experiment, or a part of it, and write its tables 6.1 to 6.4 and figures 6.1 to 6.11.
+
+    Args:
+        models: Networks to train.
+        sizes: Depth images, columns x rows.
+        rooms: Rooms to train in; each run is evaluated in both evaluation rooms.
+        seeds: Seeds of each combination.
+        total_steps: Transitions of each run, in place of the thesis's 400,000.
+        runs: Directory of the runs, needed to go on with them.
+        results: Directory of the JSON, tables and figures.
+    """
+    shapes = [tuple(int(side) for side in size.split("x")) for size in sizes]
+    run_matrix(cells(models, shapes, rooms, seeds), runs=runs, results=results, total_steps=total_steps)
+
+
+if __name__ == "__main__":
+    try:
+        tyro.cli(reproduce)
+    except KeyboardInterrupt:
+        sys.exit("stopped; the same command goes on")
