@@ -11,7 +11,6 @@ drifts, and any time can be asked for.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
@@ -183,6 +182,8 @@ class Dynamics:
         """``(W,)`` how many each world has"""
         self.reach = np.zeros(shape)
         """``(W, D)`` metres from the reference point to the farthest point"""
+        self.base, self.top = np.zeros(shape), np.zeros(shape)
+        """``(W, D)`` metres above the floor"""
         self.moves = np.zeros(shape, dtype=bool)
         """``(W, D)`` whether it moves by itself"""
         self.is_pushable = np.zeros(shape, dtype=bool)
@@ -202,6 +203,7 @@ class Dynamics:
 
     def _add(self, w: int, d: int, one: DynamicObstacle) -> None:
         self.reach[w, d], self.top_speed[w, d] = one.reach, one.top_speed
+        self.base[w, d], self.top[w, d] = one.base, one.top
         self.moves[w, d], self.is_pushable[w, d] = one.moves, not one.moves
         self._knots[w, d] = one.knots[-1]
         self._knots[w, d, : len(one.knots)] = one.knots
