@@ -199,6 +199,7 @@ class Dynamics:
         for w, row in enumerate(self.obstacles):
             for d, one in enumerate(row):
                 self._add(w, d, one)
+        self._any_moves = bool(self.moves.any())
         self._pack_parts()
 
     def _add(self, w: int, d: int, one: DynamicObstacle) -> None:
@@ -252,18 +253,17 @@ class Dynamics:
         Returns:
             ``(K, D, 3)`` x, y (metres) and angle (radians) from how the file draws it; zeros in empty slots.
         """
+        if not self._any_moves:
+            return self._knots[world_index, :, 0]
         length, period = self._length[world_index], self._period[world_index]
         way = (phases * period + self._rate[world_index] * clock[:, None]) % period
         way = np.where(way <= length, way, period - way)
         along = self._along[world_index]
-        piece = np.minimum((along[..., 1:] <= way[..., None]).sum(axis=-1), self._last[world_index])[..., None]
-        begin = np.take_along_axis(along, piece, axis=-1)
-        end = np.take_along_axis(along, piece + 1, axis=-1)
-        share = (way[..., None] - begin) / (end - begin)
-        knots = self._knots[world_index]
-        first = np.take_along_axis(knots, piece[..., None], axis=-2)[..., 0, :]
-        second = np.take_along_axis(knots, piece[..., None] + 1, axis=-2)[..., 0, :]
-        return first + share * (second - first)
+        piece = np.minimum((along[..., 1:] <= way[..., None]).sum(axis=-1), self._last[world_index])
+        row, slot = world_index[:, None], np.arange(self.most)
+        begin, end = self._along[row, slot, piece], self._along[row, slot, piece + 1]
+        first, second = self._knots[row, slot, piece], self._knots[row, slot, piece + 1]
+        return first + ((way - begin) / (end - begin))[..., None] * (second - first)
 
     def prisms(self, world_index: np.ndarray, poses: np.ndarray, keep: np.ndarray | None = None) -> MovingPrisms:
         """The obstacles at ``poses`` ``(K, D, 3)``, as K robots in ``world_index`` ``(K,)`` see them.

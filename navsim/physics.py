@@ -160,7 +160,8 @@ class Physics:
         self.poses[:, 2] = wrap_angle(headings[:, -1])
         self.speeds = speeds[:, -1].copy()
         self.touched_solid |= touched
-        return self.poses.copy(), self.touched_solid | self.touched_pushable
+        bumper: np.ndarray = self.touched_solid | self.touched_pushable
+        return self.poses.copy(), bumper
 
     def moving_prisms(self, robots: np.ndarray, with_pushable: bool = True) -> MovingPrisms | None:
         """What ``navsim.raycast.cast`` needs to show some robots ``(K,)`` their dynamic obstacles; None without any."""
@@ -185,7 +186,7 @@ class Physics:
         """
         substeps = velocities.shape[1]
         involved = self._involved_obstacles(travel, substeps * dt)
-        lively = involved.any(axis=1)
+        lively: np.ndarray = involved.any(axis=1)
         for index in np.flatnonzero(lively).tolist():
             world, near = int(self.world_index[index]), involved[index]
             fastest = float(self.dynamics.top_speed[world, near].max())

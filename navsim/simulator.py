@@ -128,6 +128,16 @@ class Simulator:
         return self._physics.poses
 
     @property
+    def phases(self) -> np.ndarray:
+        """``(N, D)`` where in their periods, from 0 to 1, moving obstacles were when each robot's episode began."""
+        return self._physics.phases
+
+    @property
+    def obstacle_poses(self) -> np.ndarray:
+        """``(N, D, 3)`` x, y, angle of each robot's own obstacles that move or can be pushed: ``navsim.dynamics``."""
+        return self._physics.obstacle_poses
+
+    @property
     def world_index(self) -> np.ndarray:
         """``(N,)`` the world that each robot is in."""
         return self._physics.world_index
