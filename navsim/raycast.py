@@ -26,6 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from navsim.camera import DepthCamera
+from navsim.dynamics import MovingPrisms
 from navsim.prism import Prism
 from navsim.world import World
 
@@ -174,7 +175,13 @@ def render_depth(worlds: World | Sequence[World], poses: np.ndarray, camera: Dep
     return cast(Scene(distinct), world_index, poses, camera or DepthCamera())
 
 
-def cast(scene: Scene, world_index: np.ndarray, poses: np.ndarray, camera: DepthCamera) -> np.ndarray:
+def cast(
+    scene: Scene,
+    world_index: np.ndarray,
+    poses: np.ndarray,
+    camera: DepthCamera,
+    moving: MovingPrisms | None = None,
+) -> np.ndarray:
     """``render_depth`` on a scene that is compiled once.
 
     Args:
@@ -182,13 +189,14 @@ def cast(scene: Scene, world_index: np.ndarray, poses: np.ndarray, camera: Depth
         world_index: ``(N,)``, each robot's world in the scene.
         poses: ``(N, 3)`` float64, robots' x, y (metres), yaw (radians).
         camera: the camera.
+        moving: what each robot sees beside its world in the scene.
 
     Returns:
         ``(N, H, W)`` float32, planar depth in metres, at most ``camera.max_range``.
     """
     num_robots, height, width = len(poses), camera.height, camera.width
     half = (height + 1) // 2
-    standing, hanging = _trace(scene, world_index, poses, camera, camera.max_range)
+    standing, hanging = _trace(scene, world_index, poses, camera, camera.max_range, moving)
     rows = np.full((half, 2 * num_robots * width), camera.max_range, dtype=np.float32)
     _paint_standing(rows, standing, camera)
     floor = camera.mount_z * camera.inverse_row_slopes[:half]
@@ -204,18 +212,24 @@ def cast(scene: Scene, world_index: np.ndarray, poses: np.ndarray, camera: Depth
 
 
 def nearest_depth(
-    scene: Scene, world_index: np.ndarray, poses: np.ndarray, camera: DepthCamera, within: float = 0.5
+    scene: Scene,
+    world_index: np.ndarray,
+    poses: np.ndarray,
+    camera: DepthCamera,
+    within: float = 0.5,
+    moving: MovingPrisms | None = None,
 ) -> np.ndarray:
     """The least planar depth that any pixel sees of an obstacle or a wall, the floor left out.
 
     Args:
         scene, world_index, poses, camera: as for ``cast``.
         within: how far to look, metres; a smaller figure is faster.
+        moving: as for ``cast``.
 
     Returns:
         ``(N,)`` float32, metres; ``within`` where nothing nearer is seen.
     """
-    standing, hanging = _trace(scene, world_index, poses, camera, within)
+    standing, hanging = _trace(scene, world_index, poses, camera, within, moving)
     nearest = np.full(2 * len(poses), within, dtype=np.float32)
     seen = _row_under(standing.top, standing.near, camera) < (camera.height + 1) // 2
     np.minimum.at(nearest, standing.column[seen] // camera.width, standing.near[seen].astype(np.float32))
@@ -316,12 +330,37 @@ def _frames(poses: np.ndarray, camera: DepthCamera) -> _Frames:
 
 
 def _trace(
-    scene: Scene, world_index: np.ndarray, poses: np.ndarray, camera: DepthCamera, max_range: float
+    scene: Scene,
+    world_index: np.ndarray,
+    poses: np.ndarray,
+    camera: DepthCamera,
+    max_range: float,
+    moving: MovingPrisms | None,
 ) -> tuple[_Standing, _Hanging]:
     """What all columns can see up to ``max_range`` metres."""
     frames = _frames(poses, camera)
     half_width = math.tan(math.radians(camera.horizontal_fov_deg) / 2)
     robot, prism = scene.candidates(world_index, frames.position, max_range * math.hypot(1.0, half_width))
+    standing, hanging = _trace_prisms(scene, robot, prism, frames, camera, max_range)
+    if moving is None:
+        return standing, hanging
+    others = _trace_prisms(moving, moving.robot, np.arange(len(moving.robot)), frames, camera, max_range)
+    return (
+        _Standing(*(np.concatenate(both) for both in zip(standing, others[0], strict=True))),
+        _Hanging(*(np.concatenate(both) for both in zip(hanging, others[1], strict=True))),
+    )
+
+
+def _trace_prisms(
+    scene: Scene | MovingPrisms,
+    robot: np.ndarray,
+    prism: np.ndarray,
+    frames: _Frames,
+    camera: DepthCamera,
+    max_range: float,
+) -> tuple[_Standing, _Hanging]:
+    """What columns can see of some prisms of ``scene``: pairs ``(M,)`` of a robot and a prism."""
+    half_width = math.tan(math.radians(camera.horizontal_fov_deg) / 2)
     forward, left = frames.forward_and_left(scene.centre[prism], robot)
     reach = scene.bounding_radius[prism]
     # The sides of the view are planes through the camera: compare distances from them.
@@ -345,7 +384,7 @@ def _trace(
     column += (robot * camera.width)[pair]
     in_range, hangs = near < max_range, hangs[pair]
 
-    lower = len(poses) * camera.width
+    lower = len(frames.position) * camera.width
     index = np.flatnonzero(in_range & ~hangs)
     pair_of, near_of, column_of = pair[index], near[index], column[index]
     standing = _Standing(

@@ -46,13 +46,17 @@ class Transition(NamedTuple):
     collision: np.ndarray
     """``(N,)`` bool, the robot collided, and did not reach the goal in this very step"""
     bumper: np.ndarray
-    """``(N,)`` bool, the bumper touched something during the step, whatever else happened"""
+    """``(N,)`` bool, the bumper hit something that counts as a collision during the step, whatever else happened"""
     too_near: np.ndarray
-    """``(N,)`` bool, a pixel is nearer than the task's ``collision_depth``, whatever else happened"""
+    """``(N,)`` bool, a pixel that counts is nearer than the task's ``collision_depth``, whatever else happened"""
+    pushed: np.ndarray
+    """``(N,)`` bool, the bumper touched something pushable during the step; whether that counts, the task says"""
 
 
 class Simulator:
     """N robots that navigate in one world or many; they do not see or touch each other.
+
+    Each has a copy of its own of whatever moves or can be pushed, as if it were alone in its world.
 
     Every robot draws its episodes from a random generator of its own, so they do not depend on what the others do or
     on how many there are.
@@ -111,7 +115,7 @@ class Simulator:
         self.commands = np.tile(np.array(INITIAL_COMMAND), (num_robots, 1))
         self.steps = np.zeros(num_robots, dtype=np.int64)
         self.ideal_depth = np.zeros((num_robots, self.camera.height, self.camera.width), dtype=np.float32)
-        self._scene = Scene(self.worlds)
+        self._scene = Scene([world.fixed_prisms for world in self.worlds])
         self._physics = Physics(self.worlds, num_robots, robot, self.task.substep)
         self._episodes: dict[int, Episodes] = {}
         self._start_and_goal = np.full((num_robots, 2), -1)
@@ -122,6 +126,16 @@ class Simulator:
     def poses(self) -> np.ndarray:
         """``(N, 3)`` float64, x, y (metres) and yaw (radians)."""
         return self._physics.poses
+
+    @property
+    def phases(self) -> np.ndarray:
+        """``(N, D)`` where in their periods, from 0 to 1, moving obstacles were when each robot's episode began."""
+        return self._physics.phases
+
+    @property
+    def obstacle_poses(self) -> np.ndarray:
+        """``(N, D, 3)`` x, y, angle of each robot's own obstacles that move or can be pushed: ``navsim.dynamics``."""
+        return self._physics.obstacle_poses
 
     @property
     def world_index(self) -> np.ndarray:
@@ -185,6 +199,9 @@ class Simulator:
         self.steps += 1
         self.ideal_depth = self._look(np.arange(self.num_robots))
         too_near = self.ideal_depth.min(axis=(1, 2)) < self.task.collision_depth
+        if not self.task.pushing_is_collision:
+            bumper = self._physics.touched_solid.copy()
+            too_near = self._is_too_near_anyway(too_near)
         success = goal_distance(self.poses, self.goals) < self.task.goal_radius
         collision = (bumper | too_near) & ~success
         terminated = success | collision
@@ -202,6 +219,7 @@ class Simulator:
             collision=collision,
             bumper=bumper,
             too_near=too_near,
+            pushed=self._physics.touched_pushable.copy(),
         )
 
     def state_dict(self) -> dict[str, Any]:
@@ -250,7 +268,7 @@ class Simulator:
         else:
             world = robot % len(self.worlds)
         episode = self._episodes_of(world).draw(generator, path)
-        self._physics.place([robot], world, episode.pose)
+        self._physics.place([robot], world, episode.pose, episode.phases)
         self.goals[robot] = episode.goal
         self.commands[robot] = INITIAL_COMMAND
         self.steps[robot] = 0
@@ -264,7 +282,20 @@ class Simulator:
 
     def _look(self, robots: np.ndarray) -> np.ndarray:
         """``(K, H, W)`` float32, what the ideal sensors of some robots see, metres."""
-        return self.camera.from_planar(cast(self._scene, self.world_index[robots], self.poses[robots], self.camera))
+        moving = self._physics.moving_prisms(robots)
+        planar = cast(self._scene, self.world_index[robots], self.poses[robots], self.camera, moving)
+        return self.camera.from_planar(planar)
+
+    def _is_too_near_anyway(self, too_near: np.ndarray) -> np.ndarray:
+        """``(N,)`` bool: those of ``too_near`` that are as near to something else, as if what is pushed were glass."""
+        robots = np.flatnonzero(too_near)
+        moving = self._physics.moving_prisms(robots, with_pushable=False)
+        if moving is None or not len(robots):
+            return too_near
+        planar = cast(self._scene, self.world_index[robots], self.poses[robots], self.camera, moving)
+        anyway = too_near.copy()
+        anyway[robots] = self.camera.from_planar(planar).min(axis=(1, 2)) < self.task.collision_depth
+        return anyway
 
     def _checked(self, actions: np.ndarray) -> np.ndarray:
         actions = np.asarray(actions)
