@@ -81,7 +81,7 @@ class Comparison:
     def add(
         self, reference: MeshReference | MujocoReference, camera: DepthCamera, poses: np.ndarray, images: np.ndarray
     ) -> None:
-        """Compares ``images`` ``(N, H, W)``; every pixel that is off must be explained by a silhouette within a pixel."""
+        """Compares ``images`` ``(N, H, W)``; every pixel that is off must lie within a pixel of a silhouette."""
         assert images.shape == (len(poses), camera.height, camera.width)
         assert images.dtype == np.float32
         for pose, image in zip(poses, images, strict=True):
