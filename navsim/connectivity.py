@@ -37,6 +37,7 @@ class Chains:
         keys = _keys(len(footprints), first, second)
         matters = keys.any(axis=1)  # a link of no closed chain surrounds nothing
         self._corners, self._keys = corners[matters], keys[matters]
+        self._top = self._corners[:, :, 1].max(axis=1)
         self._columns = _Columns(self._corners[:, :, 0])
 
     def regions(self, points: np.ndarray) -> np.ndarray:
@@ -48,6 +49,8 @@ class Chains:
             return np.zeros(len(points), dtype=np.intp)
         seen = np.zeros((len(points), 2), dtype=np.uint64)
         for point, link in self._columns.lookup(points[:, 0]):
+            below = np.flatnonzero(points[point, 1] < self._top[link])
+            point, link = point[below], link[below]
             crossed = _is_crossed(self._corners[link], points[point])
             point, link = point[crossed], link[crossed]
             begin = np.flatnonzero(np.diff(point, prepend=-1))
@@ -57,7 +60,7 @@ class Chains:
 
 
 class _Columns:
-    """Which of many ranges of x hold a given x, but for a few more: the plane is cut into columns of about their width.
+    """Which of many ranges of x hold a given x: the plane is cut into columns of about their width.
 
     Args:
         x: ``(L, C)``, metres; a range reaches from the least to the greatest x of its row.
@@ -66,7 +69,7 @@ class _Columns:
     _MOST = 4096  # columns
 
     def __init__(self, x: np.ndarray) -> None:
-        low, high = x.min(axis=1), x.max(axis=1)
+        low, high = self._low, self._high = x.min(axis=1), x.max(axis=1)
         self._origin = float(low.min(initial=0.0))
         span = float(high.max(initial=0.0)) - self._origin
         width = float(np.median(high - low)) if len(x) else 1.0
@@ -83,7 +86,7 @@ class _Columns:
         return ((x - self._origin) / self._width).astype(np.intp)
 
     def lookup(self, x: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Pairs of an index into ``x`` ``(K,)`` and one of a range, ordered by the former, whole in each chunk."""
+        """Pairs of an index into ``x`` ``(K,)`` and a range with ``low <= x < high``, ordered by the former."""
         inside = np.flatnonzero((x >= self._origin) & (x < self._origin + self._width * (len(self._begin) - 1)))
         column = self._column_of(x[inside])
         begin, count = self._begin[column], self._begin[column + 1] - self._begin[column]
@@ -94,7 +97,9 @@ class _Columns:
             upto = max(done + 1, int(np.searchsorted(total, before + CROSSINGS_A_CHUNK, side="right")))
             owner, step = _expanded(count[done:upto])
             owner += done
-            yield inside[owner], self._links[begin[owner] + step]
+            index, link = inside[owner], self._links[begin[owner] + step]
+            within = np.flatnonzero((self._low[link] <= x[index]) & (x[index] < self._high[link]))
+            yield index[within], link[within]
             done = upto
 
 
