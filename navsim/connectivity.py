@@ -35,7 +35,7 @@ class Chains:
         first, second, knee = _links(footprints, robot_radius)
         corners = np.stack([footprints.centre[first], knee, footprints.centre[second]], axis=1)
         keys = _keys(len(footprints), first, second)
-        matters = keys.any(axis=1)  # a link of no closed chain surrounds nothing
+        matters = keys != 0  # a link of no closed chain surrounds nothing
         self._corners, self._keys = corners[matters], keys[matters]
         self._top = self._corners[:, :, 1].max(axis=1)
         self._columns = _Columns(self._corners[:, :, 0])
@@ -47,7 +47,7 @@ class Chains:
         """
         if not len(points) or not len(self._keys):
             return np.zeros(len(points), dtype=np.intp)
-        seen = np.zeros((len(points), 2), dtype=np.uint64)
+        seen = np.zeros(len(points), dtype=np.uint64)
         for point, link in self._columns.lookup(points[:, 0]):
             below = np.flatnonzero(points[point, 1] < self._top[link])
             point, link = point[below], link[below]
@@ -56,7 +56,7 @@ class Chains:
             begin = np.flatnonzero(np.diff(point, prepend=-1))
             if len(point):
                 seen[point[begin]] = np.bitwise_xor.reduceat(self._keys[link], begin)
-        return np.unique(seen, axis=0, return_inverse=True)[1].reshape(-1)
+        return np.unique(seen, return_inverse=True)[1].reshape(-1)
 
 
 class _Columns:
@@ -104,17 +104,17 @@ class _Columns:
 
 
 def _keys(count: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """A key ``(L, 2)`` uint64 for each link between ``count`` obstacles, so that what surrounds a point can be summed.
+    """A key ``(L,)`` uint64 for each link between ``count`` obstacles, so that what surrounds a point can be summed.
 
-    Each closed chain of the basis gets 128 random bits, and each link the exclusive or of those of all chains that it
+    Each closed chain of the basis gets 64 random bits, and each link the exclusive or of those of all chains that it
     is a part of. The exclusive or of the links that a ray from a point crosses is then that of the chains that it
     crosses an odd number of times: of those that run around the point. Points that are not surrounded by the same
-    chains differ in it, but for a chance of 2^-128. (Zobrist 1970 did the same with positions of board games.)
+    chains differ in it, but for a chance of 2^-64. (Zobrist 1970 did the same with positions of board games.)
     """
     parent, generations, closing = _spanning_forest(count, first, second)
-    keys = np.zeros((len(first), 2), dtype=np.uint64)
-    keys[closing] = np.random.default_rng(0).integers(2**64, size=(len(closing), 2), dtype=np.uint64)
-    below = np.zeros((count, 2), dtype=np.uint64)
+    keys = np.zeros(len(first), dtype=np.uint64)
+    keys[closing] = np.random.default_rng(0).integers(2**64, size=len(closing), dtype=np.uint64)
+    below = np.zeros(count, dtype=np.uint64)
     for ends in (first[closing], second[closing]):
         np.bitwise_xor.at(below, ends, keys[closing])
     for nodes, links in reversed(generations):

@@ -21,9 +21,9 @@ from navsim.raycast import Scene
 START_CLEARANCE = 0.05
 """Free space that a start needs around the robot's base, metres."""
 
-_POINTS, _VIEWS, _ENDS = 20, 8, 2  # random places a round, how many of them are tried as starts, and how many as goals
-_ROUNDS = 600  # times that they are tried before a world is said to have no room
-_PATIENCE = 60  # times after which a start need not have the wanted view any more, if only it does not collide
+_POINTS, _VIEWS, _ENDS = 12, 8, 2  # random places a round, how many of them are tried as starts, and how many as goals
+_ROUNDS = 1000  # times that they are tried before a world is said to have no room
+_PATIENCE = 100  # times after which a start need not have the wanted view any more, if only it does not collide
 
 
 class RandomPlaces:
