@@ -242,10 +242,25 @@ def _compare(world: World, camera: DepthCamera, poses: np.ndarray, peers: bool, 
 
 
 def _agreement(renderer: Renderer, world: World, poses: np.ndarray) -> float:
-    ours = _ray_caster(world, renderer.camera).render(poses)
+    ours = _ray_caster(world, _with_border(renderer.camera)).render(poses)
     theirs = renderer.render(poses)
-    low, high = minimum_filter(ours, size=(1, 3, 3)), maximum_filter(ours, size=(1, 3, 3))
+    low, high = (extreme(ours, size=(1, 3, 3))[:, 1:-1, 1:-1] for extreme in (minimum_filter, maximum_filter))
     return float(np.mean((low - _AGREEMENT < theirs) & (theirs < high + _AGREEMENT)))
+
+
+def _with_border(camera: DepthCamera) -> DepthCamera:
+    """The same camera with one more pixel on every side of the image."""
+
+    def wider(fov_deg: float, pixels: int) -> float:
+        return math.degrees(2.0 * math.atan(math.tan(math.radians(0.5 * fov_deg)) * (pixels + 2) / pixels))
+
+    return replace(
+        camera,
+        width=camera.width + 2,
+        height=camera.height + 2,
+        horizontal_fov_deg=wider(camera.horizontal_fov_deg, camera.width),
+        vertical_fov_deg=wider(camera.vertical_fov_deg, camera.height),
+    )
 
 
 def _ray_caster(world: World, camera: DepthCamera) -> Renderer:

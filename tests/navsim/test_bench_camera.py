@@ -20,7 +20,7 @@ def test_peers_render_the_same_scenes():
     measured = [row for row in rows if not row.missing]
     assert {"navsim", "Embree (embreex)", "MuJoCo (mj_multiRay)"} <= {row.renderer for row in measured}
     for row in measured:
-        assert row.agreement > 0.99, row
+        assert row.agreement > 0.98, row
         assert row.images_per_second > 0.0
         assert (row.times_slower == 1.0) == (row.renderer == "navsim")
 
