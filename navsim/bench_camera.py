@@ -1,8 +1,8 @@
 """How many depth images a second the ray-caster renders, beside other renderers of the same scene.
 
-All renderers run in one process, on one thread, in turns, on the same poses; medians are compared. A peer is used as a
-careful user would: its scene is built once, its images come in as few calls as it allows, colours and shadows
-are left out where it can leave them out.
+All renderers run in one process, on one thread, in turns, on the same poses; medians of processor time are compared, so
+that a busy machine changes them little. A peer is used as a careful user would: its scene is built once, its images
+come in as few calls as it allows, colours and shadows are left out where it can leave them out.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import statistics
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -61,6 +62,8 @@ class Row(NamedTuple):
     """Than the ray-caster."""
     agreement: float
     """Share of pixels within 2 cm of what the ray-caster sees within a pixel; rasterisers sample beside its centre."""
+    missing: str = ""
+    """Why there are no figures."""
 
 
 class Scaling(NamedTuple):
@@ -174,9 +177,13 @@ def run(
         WorldError: for a world file that cannot be used.
     """
     console = console or Console()
+    missing: dict[str, str] = {}
     for width, height in sizes:
         rows = benchmark_camera(width, height, num_robots, peers=peers, repeats=repeats, worlds=worlds)
-        table = Table(title=f"Depth images of {width}x{height}, {num_robots} a call, one thread", title_justify="left")
+        table = Table(
+            title=f"Depth images of {width}x{height}, {num_robots} a call, one thread, processor time",
+            title_justify="left",
+        )
         table.add_column("world")
         table.add_column("renderer", no_wrap=True)
         table.add_column("images/s", justify="right")
@@ -187,14 +194,15 @@ def run(
             if row.world != world:
                 table.add_section()
             name, world = "" if row.world == world else row.world, row.world
-            if math.isnan(row.images_per_second):
-                table.add_row(name, row.renderer, "not installed", "", "")
+            if row.missing:
+                table.add_row(name, row.renderer, "none", "", "")
+                missing[row.renderer] = row.missing
                 continue
             speed, slower = f"{row.images_per_second:,.0f}", f"{row.times_slower:.1f}x"
             table.add_row(name, row.renderer, speed, slower, f"{row.agreement:.2%}")
         console.print(table)
-    if any(math.isnan(row.images_per_second) for row in rows):
-        console.print('The peers that are missing come with: pip install "navsim-rl\\[peers]"')
+    for renderer, why in missing.items():
+        console.print(f"{renderer} was left out: {why}", markup=False)
     scaling = benchmark_scaling(num_robots)
     console.print(
         f"80x64 in a room of 7x7 m with 49 obstacles: {1e3 * scaling.small_ms:.0f} µs an image; in a hall of 100x100 m "
@@ -203,20 +211,22 @@ def run(
 
 
 def _seconds(render: Callable[[np.ndarray], np.ndarray], batches: np.ndarray) -> float:
-    start = time.perf_counter()
+    start = time.process_time()
     for poses in batches:
         render(poses)
-    return time.perf_counter() - start
+    return time.process_time() - start
 
 
 def _compare(world: World, camera: DepthCamera, poses: np.ndarray, peers: bool, repeats: int) -> list[Row]:
     """One row for the ray-caster and one for each peer; ``poses`` is ``(batches, N, 3)``."""
-    renderers, missing = [_ray_caster(world, camera)], []
+    renderers, missing = [_ray_caster(world, camera)], {}
     for name, make in _PEERS.items() if peers else ():
         try:
             renderers.append(Renderer(name, *make(world, camera)))
-        except ImportError:
-            missing.append(name)
+        except ModuleNotFoundError as error:
+            missing[name] = f'{error.name} is not installed; pip install "navsim-rl[peers]" brings it'
+        except (ImportError, OSError) as error:
+            missing[name] = f"the system lacks what it needs ({error}); on Debian, apt install libegl1 libgl1-mesa-dri"
     agreements = [_agreement(renderer, world, poses[0]) for renderer in renderers]
     times: list[list[float]] = [[] for _ in renderers]
     for _ in range(repeats):
@@ -228,14 +238,29 @@ def _compare(world: World, camera: DepthCamera, poses: np.ndarray, peers: bool, 
         Row(*size, renderer.name, poses.shape[0] * poses.shape[1] / median, median / medians[0], agreement)
         for renderer, median, agreement in zip(renderers, medians, agreements, strict=True)
     ]
-    return rows + [Row(*size, name, math.nan, math.nan, math.nan) for name in missing]
+    return rows + [Row(*size, name, math.nan, math.nan, math.nan, why) for name, why in missing.items()]
 
 
 def _agreement(renderer: Renderer, world: World, poses: np.ndarray) -> float:
-    ours = _ray_caster(world, renderer.camera).render(poses)
+    ours = _ray_caster(world, _with_border(renderer.camera)).render(poses)
     theirs = renderer.render(poses)
-    low, high = minimum_filter(ours, size=(1, 3, 3)), maximum_filter(ours, size=(1, 3, 3))
+    low, high = (extreme(ours, size=(1, 3, 3))[:, 1:-1, 1:-1] for extreme in (minimum_filter, maximum_filter))
     return float(np.mean((low - _AGREEMENT < theirs) & (theirs < high + _AGREEMENT)))
+
+
+def _with_border(camera: DepthCamera) -> DepthCamera:
+    """The same camera with one more pixel on every side of the image."""
+
+    def wider(fov_deg: float, pixels: int) -> float:
+        return math.degrees(2.0 * math.atan(math.tan(math.radians(0.5 * fov_deg)) * (pixels + 2) / pixels))
+
+    return replace(
+        camera,
+        width=camera.width + 2,
+        height=camera.height + 2,
+        horizontal_fov_deg=wider(camera.horizontal_fov_deg, camera.width),
+        vertical_fov_deg=wider(camera.vertical_fov_deg, camera.height),
+    )
 
 
 def _ray_caster(world: World, camera: DepthCamera) -> Renderer:
@@ -417,7 +442,7 @@ def _pybullet(world: World, camera: DepthCamera) -> _Peer:
     return camera, render
 
 
-def _miniworld(world: World, camera: DepthCamera) -> _Peer:
+def _miniworld(world: World, camera: DepthCamera, samples: int) -> _Peer:
     os.environ.setdefault("LIBGL_ALWAYS_SOFTWARE", "1")
     os.environ.setdefault("LP_NUM_THREADS", "0")  # llvmpipe renders on the calling thread
     import pyglet
@@ -425,6 +450,7 @@ def _miniworld(world: World, camera: DepthCamera) -> _Peer:
     pyglet.options["headless"] = True
     from miniworld.entity import Entity
     from miniworld.miniworld import MiniWorldEnv
+    from miniworld.opengl import FrameBuffer
     from pyglet import gl
 
     triangles = _triangles(world.prisms, 2.0 * world.half_size.max())
@@ -458,6 +484,7 @@ def _miniworld(world: World, camera: DepthCamera) -> _Peer:
 
     with contextlib.redirect_stdout(io.StringIO()):  # it tells how many samples a pixel this machine can have
         environment = Environment(obs_width=camera.width, obs_height=camera.height, window_width=1, window_height=1)
+        frame_buffer = FrameBuffer(camera.width, camera.height, samples)
     agent = environment.agent
     # Its pixels are square: the view is as wide as asked for.
     half_up = camera.height / camera.width * math.tan(math.radians(0.5 * camera.horizontal_fov_deg))
@@ -468,7 +495,7 @@ def _miniworld(world: World, camera: DepthCamera) -> _Peer:
         images = []
         for eye, pose in zip(_eyes(camera, poses) @ swap, poses, strict=True):
             agent.pos, agent.dir = eye, pose[2]
-            images.append(environment.render_depth()[..., 0])
+            images.append(environment.render_depth(frame_buffer)[..., 0])
         return np.minimum(np.array(images), camera.max_range)
 
     return square, render
@@ -478,5 +505,6 @@ _PEERS: dict[str, Callable[[World, DepthCamera], _Peer]] = {
     "Embree (embreex)": _embree,
     "MuJoCo (mj_multiRay)": _mujoco,
     "PyBullet (TinyRenderer)": _pybullet,
-    "Miniworld (Mesa)": _miniworld,
+    "Miniworld (Mesa)": partial(_miniworld, samples=8),  # what it asks for by itself
+    "Miniworld (Mesa, 1 sample)": partial(_miniworld, samples=1),
 }

@@ -9,6 +9,8 @@ closed chains, the links outside a spanning forest, is enough.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, dijkstra
@@ -17,8 +19,8 @@ from navsim.footprints import Footprints, overlapping_boxes
 
 TOLERANCE = 1e-9
 """Metres: a gap that is this much too narrow is wide enough."""
-CROSSINGS_A_CHUNK = 4_000_000
-"""Rays against links looked at in one go; it bounds the memory in use."""
+CROSSINGS_A_CHUNK = 1_000_000
+"""Pairs of a ray and a link looked at in one go; it bounds the memory in use."""
 
 
 class Chains:
@@ -31,30 +33,94 @@ class Chains:
 
     def __init__(self, footprints: Footprints, robot_radius: float) -> None:
         first, second, knee = _links(footprints, robot_radius)
-        self._corners = np.stack([footprints.centre[first], knee, footprints.centre[second]], axis=1)
-        self._first, self._second = first, second
-        self._parent, self._generations, self._closing = _spanning_forest(len(footprints), first, second)
+        corners = np.stack([footprints.centre[first], knee, footprints.centre[second]], axis=1)
+        keys = _keys(len(footprints), first, second)
+        matters = keys != 0  # a link of no closed chain surrounds nothing
+        self._corners, self._keys = corners[matters], keys[matters]
+        self._top = self._corners[:, :, 1].max(axis=1)
+        self._columns = _Columns(self._corners[:, :, 0])
 
     def regions(self, points: np.ndarray) -> np.ndarray:
         """A number ``(K,)`` for each of ``points`` ``(K, 2)``, free places of the robot's centre, metres.
 
         Places with equal numbers are connected, others are not.
         """
-        if not len(points) or not len(self._closing):
+        if not len(points) or not len(self._keys):
             return np.zeros(len(points), dtype=np.intp)
-        chunk = max(1, CROSSINGS_A_CHUNK // len(self._first))
-        surrounded = [self._surrounded(points[i : i + chunk]) for i in range(0, len(points), chunk)]
-        return np.unique(np.concatenate(surrounded), axis=0, return_inverse=True)[1].reshape(-1)
+        seen = np.zeros(len(points), dtype=np.uint64)
+        for point, link in self._columns.lookup(points[:, 0]):
+            below = np.flatnonzero(points[point, 1] < self._top[link])
+            point, link = point[below], link[below]
+            crossed = _is_crossed(self._corners[link], points[point])
+            point, link = point[crossed], link[crossed]
+            begin = np.flatnonzero(np.diff(point, prepend=-1))
+            if len(point):
+                seen[point[begin]] = np.bitwise_xor.reduceat(self._keys[link], begin)
+        return np.unique(seen, return_inverse=True)[1].reshape(-1)
 
-    def _surrounded(self, points: np.ndarray) -> np.ndarray:
-        """Whether each closed chain of the basis runs around each point: packed bits, a row for each point."""
-        crossed = _is_crossed(self._corners, points)
-        parity = np.zeros((len(self._parent), len(points)), dtype=bool)
-        for nodes, links in self._generations:
-            parity[nodes] = parity[self._parent[nodes]] ^ crossed[links]
-        closing = self._closing
-        around = parity[self._first[closing]] ^ parity[self._second[closing]] ^ crossed[closing]
-        return np.packbits(around, axis=0).T
+
+class _Columns:
+    """Which of many ranges of x hold a given x: the plane is cut into columns of about their width.
+
+    Args:
+        x: ``(L, C)``, metres; a range reaches from the least to the greatest x of its row.
+    """
+
+    _MOST = 4096  # columns
+
+    def __init__(self, x: np.ndarray) -> None:
+        low, high = self._low, self._high = x.min(axis=1), x.max(axis=1)
+        self._origin = float(low.min(initial=0.0))
+        span = float(high.max(initial=0.0)) - self._origin
+        width = float(np.median(high - low)) if len(x) else 1.0
+        self._width = max(width, span / self._MOST, 1e-9)
+        first = self._column_of(low)
+        span_of = self._column_of(high) - first + 1
+        owner, inside = _expanded(span_of)
+        column = first[owner] + inside
+        self._links = owner[np.argsort(column, kind="stable")]
+        count = np.bincount(column, minlength=self._column_of(np.array([self._origin + span]))[0] + 1)
+        self._begin = np.concatenate([[0], np.cumsum(count)])
+
+    def _column_of(self, x: np.ndarray) -> np.ndarray:
+        return ((x - self._origin) / self._width).astype(np.intp)
+
+    def lookup(self, x: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Pairs of an index into ``x`` ``(K,)`` and a range with ``low <= x < high``, ordered by the former."""
+        inside = np.flatnonzero((x >= self._origin) & (x < self._origin + self._width * (len(self._begin) - 1)))
+        column = self._column_of(x[inside])
+        begin, count = self._begin[column], self._begin[column + 1] - self._begin[column]
+        total = np.cumsum(count)
+        done = 0
+        while done < len(inside):
+            before = int(total[done - 1]) if done else 0
+            upto = max(done + 1, int(np.searchsorted(total, before + CROSSINGS_A_CHUNK, side="right")))
+            owner, step = _expanded(count[done:upto])
+            owner += done
+            index, link = inside[owner], self._links[begin[owner] + step]
+            within = np.flatnonzero((self._low[link] <= x[index]) & (x[index] < self._high[link]))
+            yield index[within], link[within]
+            done = upto
+
+
+def _keys(count: int, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """A key ``(L,)`` uint64 for each link between ``count`` obstacles, so that what surrounds a point can be summed.
+
+    Each closed chain of the basis gets 64 random bits, and each link the exclusive or of those of all chains that it
+    is a part of. The exclusive or of the links that a ray from a point crosses is then that of the chains that it
+    crosses an odd number of times: of those that run around the point. Points that are not surrounded by the same
+    chains differ in it, but for a chance of 2^-64. (Zobrist 1970 did the same with positions of board games.)
+    """
+    parent, generations, closing = _spanning_forest(count, first, second)
+    keys = np.zeros(len(first), dtype=np.uint64)
+    keys[closing] = np.random.default_rng(0).integers(2**64, size=len(closing), dtype=np.uint64)
+    below = np.zeros(count, dtype=np.uint64)
+    for ends in (first[closing], second[closing]):
+        np.bitwise_xor.at(below, ends, keys[closing])
+    for nodes, links in reversed(generations):
+        keys[links] = below[nodes]
+        np.bitwise_xor.at(below, parent[nodes], below[nodes])
+    return keys
 
 
 def _links(footprints: Footprints, robot_radius: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -130,18 +196,23 @@ def _spanning_forest(
 
 
 def _is_crossed(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Whether a ray from each point towards +y crosses each chain of corners an odd number of times: ``(L, K)``.
+    """Whether a ray from each point towards +y crosses its own chain of corners an odd number of times: ``(N,)``.
 
     Args:
-        corners: ``(L, C, 2)``; none of their lines runs through a point.
-        points: ``(K, 2)``.
+        corners: ``(N, C, 2)``; none of their lines runs through the point.
+        points: ``(N, 2)``.
     """
-    x, y = points[:, 0], points[:, 1]
-    odd = np.zeros((len(corners), len(points)), dtype=bool)
-    is_left = corners[:, :, 0, None] <= x
+    x, y = points.T
+    odd = np.zeros(len(points), dtype=bool)
+    is_left = corners[:, :, 0] <= x[:, None]
     for c in range(corners.shape[1] - 1):
-        straddling = np.nonzero(is_left[:, c] != is_left[:, c + 1])
-        (ax, ay), (bx, by) = corners[straddling[0], c].T, corners[straddling[0], c + 1].T
-        above = ay + (x[straddling[1]] - ax) / (bx - ax) * (by - ay) > y[straddling[1]]
-        odd[straddling[0][above], straddling[1][above]] ^= True
+        straddling = np.flatnonzero(is_left[:, c] != is_left[:, c + 1])
+        (ax, ay), (bx, by) = corners[straddling, c].T, corners[straddling, c + 1].T
+        odd[straddling] ^= ay + (x[straddling] - ax) / (bx - ax) * (by - ay) > y[straddling]
     return odd
+
+
+def _expanded(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """For counts (2, 0, 3): owners (0, 0, 2, 2, 2) and positions within them (0, 1, 0, 1, 2)."""
+    owner = np.repeat(np.arange(len(counts)), counts)
+    return owner, np.arange(len(owner)) - (np.cumsum(counts) - counts)[owner]

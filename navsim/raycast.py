@@ -89,7 +89,7 @@ class _CellIndex:
     """
 
     _SMALL = 64
-    _CELL = 2.5  # metres; a robot moves through a cell in seconds, and a cell's list is short beside a 5 m view
+    _CELL = 1.25  # metres; much smaller than the disc around a view, so that the lists hold little else
 
     def __init__(self, scene: Scene, reach: float) -> None:
         origins, shapes, first_cells, starts, lists = [], [], [], [np.zeros(1, dtype=np.intp)], []
@@ -313,6 +313,10 @@ class _Frames(NamedTuple):
     cosine: np.ndarray  # (N,), of the yaw
     sine: np.ndarray
 
+    def ahead(self, distance: float) -> np.ndarray:
+        """``(N, 2)``, the points so many metres ahead of the cameras."""
+        return self.position + distance * np.stack([self.cosine, self.sine], axis=1)
+
     def forward_and_left(self, points: np.ndarray, robot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Coordinates ``(K,)`` of ``points`` ``(K, 2)`` in the frames of ``robot`` ``(K,)``, metres."""
         offset = points - self.position[robot]
@@ -329,6 +333,19 @@ def _frames(poses: np.ndarray, camera: DepthCamera) -> _Frames:
     return _Frames(position, cosine, sine)
 
 
+def _disc_around_view(half_width: float, max_range: float) -> tuple[float, float]:
+    """The least disc that holds the triangle seen from above: how far ahead its centre is, and its radius, metres.
+
+    Args:
+        half_width: of the view, metres per metre ahead.
+        max_range: how far ahead the triangle ends, metres.
+    """
+    if half_width > 1.0:  # an obtuse triangle's least disc has its longest side for a diameter
+        return max_range, max_range * half_width
+    radius = 0.5 * max_range * (1.0 + half_width**2)
+    return radius, radius
+
+
 def _trace(
     scene: Scene,
     world_index: np.ndarray,
@@ -340,7 +357,8 @@ def _trace(
     """What all columns can see up to ``max_range`` metres."""
     frames = _frames(poses, camera)
     half_width = math.tan(math.radians(camera.horizontal_fov_deg) / 2)
-    robot, prism = scene.candidates(world_index, frames.position, max_range * math.hypot(1.0, half_width))
+    middle, reach = _disc_around_view(half_width, max_range)
+    robot, prism = scene.candidates(world_index, frames.ahead(middle), reach)
     standing, hanging = _trace_prisms(scene, robot, prism, frames, camera, max_range)
     if moving is None:
         return standing, hanging

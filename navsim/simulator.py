@@ -174,9 +174,8 @@ class Simulator:
         if paths is not None and len(paths) != self.num_robots:
             raise ValueError(f"there must be one path a robot, {self.num_robots} in all; got {len(paths)}")
         robots = np.flatnonzero(chosen)
-        for robot in robots.tolist():
-            self._begin(robot, None if paths is None else paths[robot])
         if len(robots):
+            self._begin(robots, [None if paths is None else paths[robot] for robot in robots.tolist()])
             self.ideal_depth[robots] = self._look(robots)
         return Observation(
             self.camera.to_uint8(self.ideal_depth),
@@ -255,25 +254,36 @@ class Simulator:
             generator.bit_generator.state = generator_state
         self.ideal_depth = self._look(np.arange(self.num_robots))
 
-    def _begin(self, robot: int, path: Path | None) -> None:
-        generator = self._generators[robot]
+    def _begin(self, robots: np.ndarray, paths: list[Path | None]) -> None:
+        """Puts ``robots`` ``(K,)`` at the beginnings of episodes, those of one world together."""
+        worlds = np.array([self._world_of(robot, path) for robot, path in zip(robots.tolist(), paths, strict=True)])
+        for world in np.unique(worlds).tolist():
+            members = np.flatnonzero(worlds == world)
+            generators = [self._generators[robot] for robot in robots[members]]
+            episodes = self._episodes_of(world).draw_many(generators, [paths[member] for member in members])
+            chosen = robots[members]
+            self._physics.place(
+                chosen,
+                world,
+                np.stack([episode.pose for episode in episodes]),
+                np.stack([episode.phases for episode in episodes]),
+            )
+            self.goals[chosen] = [episode.goal for episode in episodes]
+            self._start_and_goal[chosen] = [episode.path[:2] for episode in episodes]
+        self.commands[robots] = INITIAL_COMMAND
+        self.steps[robots] = 0
+        self._ended[robots] = False
+
+    def _world_of(self, robot: int, path: Path | None) -> int:
         if path is not None:
-            world = path.world_index
-            if not 0 <= world < len(self.worlds):
+            if not 0 <= path.world_index < len(self.worlds):
                 raise ValueError(
-                    f"path {tuple(path)} is in world {world}, but the worlds are 0 to {len(self.worlds) - 1}"
+                    f"path {tuple(path)} is in world {path.world_index}, but the worlds are 0 to {len(self.worlds) - 1}"
                 )
-        elif self.draw_worlds:
-            world = int(generator.integers(len(self.worlds)))
-        else:
-            world = robot % len(self.worlds)
-        episode = self._episodes_of(world).draw(generator, path)
-        self._physics.place([robot], world, episode.pose, episode.phases)
-        self.goals[robot] = episode.goal
-        self.commands[robot] = INITIAL_COMMAND
-        self.steps[robot] = 0
-        self._start_and_goal[robot] = episode.path[:2]
-        self._ended[robot] = False
+            return path.world_index
+        if self.draw_worlds:
+            return int(self._generators[robot].integers(len(self.worlds)))
+        return robot % len(self.worlds)
 
     def _episodes_of(self, world: int) -> Episodes:
         if world not in self._episodes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -10,21 +11,14 @@ from typing import NamedTuple
 import numpy as np
 
 from navsim.camera import DepthCamera
-from navsim.connectivity import Chains
 from navsim.dynamics import Dynamics
-from navsim.footprints import Footprints
+from navsim.places import START_CLEARANCE, RandomPlaces
 from navsim.raycast import Scene, nearest_depth
 from navsim.robot import Robot, wrap_angle
 from navsim.world import World
 
-START_CLEARANCE = 0.05
-"""Free space that a start needs around the robot's base, metres."""
-
 _YAWS = np.deg2rad(np.arange(-175.0, 181.0, 5.0))  # what an open start yaw is drawn from
-_POINTS, _VIEWS = 32, 8  # random places tried at a time, and how many of them as starts
-_ROUNDS = 400  # times that they are tried before a world is said to have no room
 _PHASES = 200  # times that the phases of moving obstacles are drawn before a start is said to be never free
-_PATIENCE = 40  # times after which a start need not have the wanted view any more, if only it does not collide
 
 
 @dataclass(frozen=True)
@@ -209,23 +203,35 @@ class Episodes:
         Raises:
             ValueError: for a path that the world does not have, or a world without room for a random place.
         """
-        if path is None:
-            start_index, goal_index = self._pairs[generator.integers(len(self._pairs))].tolist()
-        else:
-            start_index, goal_index = self._checked(path)
-        phases, start, goal = self._begin(generator, start_index, goal_index)
-        return Episode(Path(start_index, goal_index, self._world_index), start, goal, phases)
+        return self.draw_many([generator], [path])[0]
 
-    def _begin(
-        self, generator: np.random.Generator, start_index: int, goal_index: int
+    def draw_many(self, generators: Sequence[np.random.Generator], paths: Sequence[Path | None]) -> list[Episode]:
+        """How the next episodes of several robots begin: for each what ``draw`` gives it, in less time."""
+        indices = [self._indices(generator, path) for generator, path in zip(generators, paths, strict=True)]
+        if self._dynamics.moves.any():
+            begun = [self._free_moment(generator, ends) for generator, ends in zip(generators, indices, strict=True)]
+        else:
+            nothing_moves = np.zeros(self._dynamics.most)
+            begun = [(nothing_moves, *places) for places in self._places(generators, indices)]
+        return [
+            Episode(Path(*ends, self._world_index), start, goal, phases)
+            for ends, (phases, start, goal) in zip(indices, begun, strict=True)
+        ]
+
+    def _indices(self, generator: np.random.Generator, path: Path | None) -> tuple[int, int]:
+        if path is not None:
+            return self._checked(path)
+        start_index, goal_index = self._pairs[generator.integers(len(self._pairs))].tolist()
+        return start_index, goal_index
+
+    def _free_moment(
+        self, generator: np.random.Generator, indices: tuple[int, int]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Phases ``(D,)``, a start ``(3,)`` and a goal ``(2,)``."""
-        if not self._dynamics.moves.any():
-            return np.zeros(self._dynamics.most), *self._places(generator, start_index, goal_index)
+        """Phases ``(D,)`` of what moves, a start ``(3,)`` that it leaves free, and a goal ``(2,)``."""
         freest, best = -math.inf, None
         for _ in range(_PHASES):
             phases = self._dynamics.draw_phases(0, generator)
-            start, goal = self._places(generator, start_index, goal_index)
+            ((start, goal),) = self._places([generator], [indices])
             if not self._moving_keep_clear(phases, start):
                 continue
             view = float(self._views(start[None], phases)[0])
@@ -254,17 +260,28 @@ class Episodes:
         return bool((distance >= needed[point]).all())
 
     def _places(
+        self, generators: Sequence[np.random.Generator], indices: Sequence[tuple[int, int]]
+    ) -> list[tuple[np.ndarray, np.ndarray]]:
+        """A start ``(3,)`` and a goal ``(2,)`` for each generator and its indices, as if nothing moved."""
+        places = [self._listed(generator, *ends) for generator, ends in zip(generators, indices, strict=True)]
+        incomplete = [number for number, (start, goal) in enumerate(places) if start is None or goal is None]
+        if incomplete:
+            starts, goals = zip(*(places[number] for number in incomplete), strict=True)
+            drawn = self._random_places.draw([generators[number] for number in incomplete], starts, goals)
+            for number, ends in zip(incomplete, drawn, strict=True):
+                places[number] = ends
+        return places  # type: ignore[return-value] # none is missing any more
+
+    def _listed(
         self, generator: np.random.Generator, start_index: int, goal_index: int
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """A start ``(3,)`` and a goal ``(2,)``, as if nothing moved."""
+    ) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """The start ``(3,)``, its yaw drawn, and the goal ``(2,)`` of the file; None for what it leaves open."""
         start = goal = None
         if start_index >= 0:
             yaws, _ = self._yaws[start_index]
             start = np.array([*self._starts[start_index, :2], yaws[generator.integers(len(yaws))]])
         if goal_index >= 0:
             goal = self._goals[goal_index]
-        if start is None or goal is None:
-            start, goal = self._random_places(generator, start, goal)
         return start, goal
 
     def _checked(self, path: Path) -> tuple[int, int]:
@@ -318,54 +335,15 @@ class Episodes:
             lasting &= goal_distance(self._starts[pairs[:, 0]], self._goals[pairs[:, 1]]) >= self._task.goal_radius
         return pairs[lasting] if lasting.any() else pairs
 
-    def _random_places(
-        self, generator: np.random.Generator, start: np.ndarray | None, goal: np.ndarray | None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """A start ``(3,)`` and a goal ``(2,)`` for each other, of which either may be given."""
-        for attempt in range(_ROUNDS):
-            wanted_view = self._wanted_view if attempt < _PATIENCE else self._task.collision_depth
-            points, room = self._random_points(generator)
-            begin = start
-            if begin is None:
-                begin = self._random_start(generator, points[room >= START_CLEARANCE], wanted_view)
-            if begin is not None:
-                ends = points if goal is None else goal[None]
-                ends = ends[goal_distance(begin, ends) >= self._task.goal_radius]
-                regions = self._chains.regions(np.vstack([begin[:2], ends]))
-                ends = ends[regions[1:] == regions[0]]
-                if len(ends):
-                    return begin, ends[0]
-        raise ValueError(
-            f'world "{self._world.name}" has no room for an episode: of {_ROUNDS * _POINTS} random places none was '
-            "free for a start and connected with a goal; clear obstacles away or list its starts and goals"
-        )
-
-    def _random_start(
-        self, generator: np.random.Generator, points: np.ndarray, wanted_view: float
-    ) -> np.ndarray | None:
-        """The first of some poses at ``points`` with the longest view, if that is long enough."""
-        points = points[:_VIEWS]
-        if not len(points):
-            return None
-        poses = np.column_stack([points, generator.uniform(-math.pi, math.pi, len(points))])
-        views = self._views(poses)
-        longest = int(np.argmax(views))
-        return poses[longest] if views[longest] >= wanted_view else None
-
-    def _random_points(self, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """``(K, 2)`` free places for the robot's centre, K from 0 up, and the room ``(K,)`` around it, both metres."""
-        half = self._world.half_size
-        points = generator.uniform(-half, half, (_POINTS, 2))
-        room = self._footprints.nearest(points)[0] - self._robot.radius
-        return points[room >= 0.0], room[room >= 0.0]
-
     @cached_property
-    def _footprints(self) -> Footprints:
-        """What stands in the robot's way."""
-        return Footprints.of(
-            [prism for prism in self._world.standing_prisms if prism.overlaps_heights(0.0, self._robot.height)]
+    def _random_places(self) -> RandomPlaces:
+        return RandomPlaces(
+            self._world.name,
+            self._world.half_size,
+            [prism for prism in self._world.standing_prisms if prism.overlaps_heights(0.0, self._robot.height)],
+            robot_radius=self._robot.radius,
+            apart=self._task.goal_radius,
+            views=self._views,
+            wanted_view=self._wanted_view,
+            least_view=self._task.collision_depth,
         )
-
-    @cached_property
-    def _chains(self) -> Chains:
-        return Chains(self._footprints, self._robot.radius)

@@ -215,6 +215,15 @@ def bench_camera(peers: FlagCreatePairsOff[bool] = False) -> None:
         run(peers=peers, console=Console())
 
 
+@_bench.command(name="world")
+def bench_world() -> None:
+    """Time to load a world of 10,000 obstacles, and to reset robots in it."""
+    from navsim.bench_world import run
+
+    with busy("loading"):
+        run(Console())
+
+
 @_bench.command(name="env")
 def bench_env(world: str = "complex_train") -> None:
     """Transitions a second of the environment, and where their time goes.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import builtins
-import math
 
 import numpy as np
 import pytest
@@ -18,10 +17,10 @@ from navsim.raycast import render_depth
 def test_peers_render_the_same_scenes():
     rows = benchmark_camera(40, 32, num_robots=4, peers=True, repeats=1)
     assert {row.world for row in rows} == {"generated room", "complex_train", "complex_eval"}
-    measured = [row for row in rows if not math.isnan(row.images_per_second)]
+    measured = [row for row in rows if not row.missing]
     assert {"navsim", "Embree (embreex)", "MuJoCo (mj_multiRay)"} <= {row.renderer for row in measured}
     for row in measured:
-        assert row.agreement > 0.99, row
+        assert row.agreement > 0.98, row
         assert row.images_per_second > 0.0
         assert (row.times_slower == 1.0) == (row.renderer == "navsim")
 
@@ -36,17 +35,30 @@ def test_a_peer_that_is_not_installed_is_named(monkeypatch):
 
     def without_peers(name, *args, **kwargs):
         if name.split(".")[0] in ("embreex", "mujoco", "pybullet", "pyglet"):
-            raise ImportError(name)
+            raise ModuleNotFoundError(name, name=name)
         return original(name, *args, **kwargs)
 
     monkeypatch.setattr(builtins, "__import__", without_peers)
     monkeypatch.setattr(bench_camera, "benchmark_scaling", lambda num_robots: bench_camera.Scaling(0.1, 0.12))
-    console = Console(record=True, width=80)
+    console = Console(record=True, width=160)
     run(sizes=[(8, 8)], num_robots=2, peers=True, repeats=1, worlds=[], console=console)
     text = console.export_text()
-    assert text.count("not installed") == 4
-    assert 'pip install "navsim-rl[peers]"' in text
+    assert text.count("is not installed") == len(bench_camera._PEERS)
+    assert text.count('pip install "navsim-rl[peers]"') == len(bench_camera._PEERS)
     assert "1.20 times" in text
+
+
+def test_a_system_without_opengl_is_told_in_one_sentence(monkeypatch):
+    def without_opengl(world, camera):
+        raise ImportError('Library "EGL" not found.')
+
+    monkeypatch.setattr(bench_camera, "_PEERS", {"Miniworld (Mesa)": without_opengl})
+    monkeypatch.setattr(bench_camera, "benchmark_scaling", lambda num_robots: bench_camera.Scaling(0.1, 0.12))
+    console = Console(record=True, width=200)
+    run(sizes=[(8, 8)], num_robots=2, peers=True, repeats=1, worlds=[], console=console)
+    assert 'Miniworld (Mesa) was left out: the system lacks what it needs (Library "EGL" not found.)' in (
+        console.export_text()
+    )
 
 
 def test_free_poses_see_nothing_near_and_lie_in_the_room():

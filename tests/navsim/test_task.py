@@ -5,9 +5,10 @@ import pytest
 import shapely
 
 from navsim.camera import DepthCamera
+from navsim.places import START_CLEARANCE
 from navsim.raycast import Scene, cast
 from navsim.robot import TURTLEBOT2
-from navsim.task import START_CLEARANCE, Episodes, Path, Task, goal_distance, heading, rewards
+from navsim.task import Episodes, Path, Task, goal_distance, heading, rewards
 from navsim.world import World
 
 CAMERA = DepthCamera()
