@@ -64,7 +64,7 @@ class _Rows(NamedTuple):
     """Rows of images in which prisms may be seen, R in all, those of a pair one after the other."""
 
     first: np.ndarray  # (P,), the first of each pair
-    count: np.ndarray  # (P,)
+    number: np.ndarray  # (P,), of rows of each pair
     pair: np.ndarray  # (R,)
     row: np.ndarray  # (R,), robot * H + row
     advance: np.ndarray  # (R,), F
@@ -142,7 +142,7 @@ def _faces(
     # Seen from outside, the edges of a counter-clockwise polygon that face the camera run to the right in the image.
     seen = chosen & ~(behind & behind[following]) & ~edges.edge_on & ~edges.holds[edges.pair]
     edge = np.flatnonzero(seen & (slope_begin > slope_end))
-    owner, step = expand(rows.count[edges.pair[edge]])
+    owner, step = expand(rows.number[edges.pair[edge]])
     edge = edge[owner]
     entry = rows.first[edges.pair[edge]] + step
     advance, least = rows.advance[entry], rows.least[entry]

@@ -85,7 +85,7 @@ class _CellIndex:
     """
 
     _SMALL = 64
-    _CELL = 2.5  # metres; a robot moves through a cell in seconds, and a cell's list is short beside a 5 m view
+    _CELL = 1.25  # metres; much smaller than the disc around a view, so that the lists hold little else
 
     def __init__(self, scene: Scene, reach: float) -> None:
         origins, shapes, first_cells, starts, lists = [], [], [], [np.zeros(1, dtype=np.intp)], []
@@ -367,13 +367,27 @@ def _paint_hanging(rows: np.ndarray, hanging: _Hanging, camera: DepthCamera) -> 
     np.minimum.at(pixels, pixel[owner] + step * row_size, depth.astype(np.float32))
 
 
+def _disc_around_view(half_width: float, max_range: float) -> tuple[float, float]:
+    """The least disc that holds the triangle seen from above: how far ahead its centre is, and its radius, metres.
+
+    Args:
+        half_width: of the view, metres per metre ahead.
+        max_range: how far ahead the triangle ends, metres.
+    """
+    if half_width > 1.0:  # an obtuse triangle's least disc has its longest side for a diameter
+        return max_range, max_range * half_width
+    radius = 0.5 * max_range * (1.0 + half_width**2)
+    return radius, radius
+
+
 def _trace(
     scene: Scene, world_index: np.ndarray, poses: np.ndarray, camera: DepthCamera, mounts: Mounts, max_range: float
 ) -> tuple[_Standing, _Hanging]:
     """What all columns of level cameras can see up to ``max_range`` metres."""
     frames = frames_of(poses, mounts)
     half_width = math.tan(math.radians(camera.horizontal_fov_deg) / 2)
-    pairs = scene.candidates(world_index, frames.position, max_range * math.hypot(1.0, half_width))
+    middle, reach = _disc_around_view(half_width, max_range)
+    pairs = scene.candidates(world_index, frames.ahead(middle), reach)
     view = in_view(scene, *pairs, frames, mounts, max_range, half_width)
     robot, base, top, radius, hangs = view.robot, view.base, view.top, view.radius, view.hangs
     circles = np.flatnonzero(radius > 0.0)

@@ -49,6 +49,10 @@ class Frames(NamedTuple):
     cosine: np.ndarray  # (N,), of the yaw
     sine: np.ndarray
 
+    def ahead(self, distance: float) -> np.ndarray:
+        """``(N, 2)``, the points so many metres ahead of the cameras."""
+        return self.position + distance * np.stack([self.cosine, self.sine], axis=1)
+
     def forward_and_left(self, points: np.ndarray, robot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Coordinates ``(K,)`` of ``points`` ``(K, 2)`` in the frames of ``robot`` ``(K,)``, metres."""
         offset = points - self.position[robot]

@@ -142,6 +142,8 @@ class MeshReference:
     heights are exact relative to the camera's, and x and y are good for poses within a few metres of ``centre``.
     """
 
+    name = "Embree"
+
     def __init__(
         self, world: dict[str, Any], eye: float, centre: tuple[float, float] = (0.0, 0.0), floor: bool = True
     ) -> None:
@@ -183,6 +185,8 @@ class MeshReference:
 
 class MujocoReference:
     """A world as MuJoCo geoms: boxes, cylinders, a plane, and meshes for polygons that are not rectangles."""
+
+    name = "MuJoCo"
 
     def __init__(self, world: dict[str, Any]) -> None:
         self.solids = solids(world)
