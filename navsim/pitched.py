@@ -39,9 +39,9 @@ def inverse_depths(
         max_range: planar depth up to which prisms are seen, metres.
 
     Returns:
-        ``(N, H, W)`` float64, inverse planar depths, at least 1 / ``max_range``, 1/m; inf everywhere in a prism.
+        ``(N, H, W)`` float32, inverse planar depths, at least 1 / ``max_range``, 1/m; inf everywhere in a prism.
     """
-    image = np.full((*advances.shape, camera.width), 1.0 / max_range)
+    image = np.full((*advances.shape, camera.width), 1.0 / max_range, dtype=np.float32)
     pixels = image.reshape(-1)
     edges = edges_of(view, camera.column_slopes[0] / advances.min(axis=1)[view.robot])
     rows = _rows(view, camera, pitch, advances, climbs, max_range)
@@ -50,7 +50,7 @@ def inverse_depths(
         _hanging(view, edges, rows, camera),
         _circles(view, rows, camera),
     ):
-        np.maximum.at(pixels, pixel, inverse)
+        np.maximum.at(pixels, pixel, inverse.astype(np.float32))
     image[view.robot[_holds(view, edges) & ~view.hangs]] = np.inf
     return image
 

@@ -289,8 +289,9 @@ def _cast_pitched(
 ) -> np.ndarray:
     inverse = _inverse_depths(scene, world_index, poses, camera, mounts, camera.max_range)
     _, climbs = tilted(camera.row_slopes, mounts.pitch[:, None])
-    np.maximum(inverse, (-climbs / mounts.z[:, None])[:, :, None], out=inverse)
-    return np.reciprocal(inverse).astype(np.float32)
+    floor = (-climbs / mounts.z[:, None]).astype(np.float32)
+    np.maximum(inverse, floor[:, :, None], out=inverse)
+    return np.minimum(np.reciprocal(inverse, out=inverse), np.float32(camera.max_range), out=inverse)
 
 
 def _nearest_pitched(
@@ -302,7 +303,7 @@ def _nearest_pitched(
     within: float,
 ) -> np.ndarray:
     inverse = _inverse_depths(scene, world_index, poses, camera, mounts, within)
-    return np.reciprocal(inverse.max(axis=(1, 2))).astype(np.float32)
+    return np.minimum(np.reciprocal(inverse.max(axis=(1, 2))), np.float32(within))
 
 
 # ---- what columns see
