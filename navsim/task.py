@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from navsim.camera import DepthCamera
+from navsim.camera import DepthCamera, Mounts
 from navsim.connectivity import Chains
 from navsim.footprints import Footprints
 from navsim.raycast import Scene, nearest_depth
@@ -22,6 +23,7 @@ START_CLEARANCE = 0.05
 _YAWS = np.deg2rad(np.arange(-175.0, 181.0, 5.0))  # what an open start yaw is drawn from
 _POINTS, _VIEWS = 32, 8  # random places tried at a time, and how many of them as starts
 _ROUNDS = 400  # times that they are tried before a world is said to have no room
+_OFFSETS = 40  # offsets from a listed start that are tried before it is taken as it is
 _PATIENCE = 40  # times after which a start need not have the wanted view any more, if only it does not collide
 
 
@@ -78,7 +80,7 @@ class Task:
             raise ValueError(
                 f"the camera sees the floor {floor:.2f} m away, nearer than the task's collision_depth of "
                 f"{self.collision_depth:g} m, so that every step would collide: lower collision_depth, "
-                "raise the camera (mount_z) or narrow its vertical_fov_deg"
+                "raise the camera (mount_z), tilt it up (pitch_deg) or narrow its vertical_fov_deg"
             )
 
 
@@ -207,6 +209,39 @@ class Episodes:
             start, goal = self._random_places(generator, start, goal)
         return Episode(Path(start_index, goal_index, self._world_index), start, goal)
 
+    def displace(
+        self,
+        pose: np.ndarray,
+        goal: np.ndarray,
+        draw_offset: Callable[[], np.ndarray],
+        mount: tuple[float, float, float, float],
+    ) -> np.ndarray:
+        """A start near a listed one, at which the robot has the clearance, the way and the view that a start needs.
+
+        Args:
+            pose: ``(3,)`` x, y (metres), yaw (radians) of the listed start.
+            goal: ``(2,)`` metres.
+            draw_offset: draws what to add to the pose, ``(3,)``.
+            mount: how the robot carries its camera, as in ``Mounts``.
+
+        Returns:
+            ``(3,)``, the first of some drawn poses that will do; the listed one where none does.
+        """
+        mounts = Mounts(*(np.array([value]) for value in mount))
+        for _ in range(_OFFSETS):
+            moved = pose + draw_offset()
+            if (np.abs(moved[:2]) > self._world.half_size).any():
+                continue
+            room = self._footprints.nearest(moved[None, :2])[0][0] - self._robot.radius
+            if room < START_CLEARANCE or goal_distance(moved, goal) < self._task.goal_radius:
+                continue
+            start_region, goal_region = self._chains.regions(np.stack([moved[:2], goal]))
+            if start_region != goal_region:
+                continue
+            if self._views(moved[None], mounts)[0] >= self._task.collision_depth:
+                return np.array([*moved[:2], wrap_angle(moved[2])])
+        return pose
+
     def _checked(self, path: Path) -> tuple[int, int]:
         for kind, index, places in (("start", path.start_index, self._starts), ("goal", path.goal_index, self._goals)):
             allowed = range(len(places)) if len(places) else (-1,)
@@ -219,10 +254,10 @@ class Episodes:
     def _wanted_view(self) -> float:
         return max(self._task.start_view, self._task.collision_depth)
 
-    def _views(self, poses: np.ndarray) -> np.ndarray:
+    def _views(self, poses: np.ndarray, mounts: Mounts | None = None) -> np.ndarray:
         """``(K,)`` float32: least depth of anything but the floor, metres, at most ``_wanted_view``."""
         world_index = np.full(len(poses), self._world_index)
-        return nearest_depth(self._scene, world_index, poses, self._camera, self._wanted_view)
+        return nearest_depth(self._scene, world_index, poses, self._camera, self._wanted_view, mounts)
 
     @cached_property
     def _yaws(self) -> list[tuple[np.ndarray, float]]:
