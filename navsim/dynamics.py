@@ -52,6 +52,13 @@ class MovingPrisms(NamedTuple):
     bounding_radius: np.ndarray
     """``(M,)`` metres"""
 
+    def of(self, robots: np.ndarray) -> MovingPrisms:
+        """What the robots ``(N,)`` bool see, who are counted anew."""
+        kept = np.flatnonzero(robots[self.robot])
+        number = np.cumsum(robots) - 1
+        own = {name: getattr(self, name)[kept] for name in self._fields if name not in ("robot", "vertices")}
+        return self._replace(robot=number[self.robot[kept]], **own)
+
 
 class Solid(NamedTuple):
     """What the physics of a pushable obstacle depends on."""

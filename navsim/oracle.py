@@ -289,7 +289,7 @@ class _Rules:
             return near
         camera, limit = self._camera, self.task.collision_depth + margin
         # No pixel of that depth is further from the robot's centre than the image's corner columns.
-        reach = math.hypot(camera.mount_x, camera.mount_y) + limit * math.hypot(1.0, camera.column_slopes[0])
+        reach = math.hypot(camera.mount_x, camera.mount_y) + limit * camera.floor_reach
         clear, _ = self._all.nearest(poses[:, :2])
         obstacles = self._obstacles_at(steps * self.task.control_period, phases)
         if self.anything_moves:
@@ -297,11 +297,11 @@ class _Rules:
             clear = np.minimum(clear, np.where(self.dynamics.moves[0], away, math.inf).min(axis=1))
         doubtful = np.flatnonzero(clear < reach)
         index, moving = self._seen(doubtful, obstacles)
-        near[doubtful] = nearest_depth(self._scene, index, poses[doubtful], camera, limit, moving) < limit
+        near[doubtful] = nearest_depth(self._scene, index, poses[doubtful], camera, limit, moving=moving) < limit
         if camera.depth == "range" and near.any():
             doubtful = np.flatnonzero(near)  # a ray is longer than its planar depth
             index, moving = self._seen(doubtful, obstacles)
-            images = cast(self._scene, index, poses[doubtful], camera, moving)
+            images = cast(self._scene, index, poses[doubtful], camera, moving=moving)
             near[doubtful] = camera.from_planar(images).min(axis=(1, 2)) < limit
         return near
 

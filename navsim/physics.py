@@ -186,7 +186,7 @@ class Physics:
         """
         substeps = velocities.shape[1]
         involved = self._involved_obstacles(travel, substeps * dt)
-        lively: np.ndarray = involved.any(axis=1)
+        lively: np.ndarray = involved.any(axis=1)  # type: ignore[assignment]
         for index in np.flatnonzero(lively).tolist():
             world, near = int(self.world_index[index]), involved[index]
             fastest = float(self.dynamics.top_speed[world, near].max())

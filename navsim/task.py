@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from navsim.camera import DepthCamera
+from navsim.camera import DepthCamera, Mounts
 from navsim.dynamics import Dynamics
 from navsim.places import START_CLEARANCE, RandomPlaces
 from navsim.raycast import Scene, nearest_depth
@@ -19,6 +19,7 @@ from navsim.world import World
 
 _YAWS = np.deg2rad(np.arange(-175.0, 181.0, 5.0))  # what an open start yaw is drawn from
 _PHASES = 200  # times that the phases of moving obstacles are drawn before a start is said to be never free
+_OFFSETS = 40  # offsets from a listed start that are tried before it is taken as it is
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,7 @@ class Task:
             raise ValueError(
                 f"the camera sees the floor {floor:.2f} m away, nearer than the task's collision_depth of "
                 f"{self.collision_depth:g} m, so that every step would collide: lower collision_depth, "
-                "raise the camera (mount_z) or narrow its vertical_fov_deg"
+                "raise the camera (mount_z), tilt it up (pitch_deg) or narrow its vertical_fov_deg"
             )
 
 
@@ -284,6 +285,31 @@ class Episodes:
             goal = self._goals[goal_index]
         return start, goal
 
+    def displace(
+        self,
+        episode: Episode,
+        draw_offset: Callable[[], np.ndarray],
+        mount: tuple[float, float, float, float],
+    ) -> np.ndarray:
+        """A start near a listed one, at which the robot has the clearance, the way and the view that a start needs.
+
+        Args:
+            episode: as it begins at the listed start.
+            draw_offset: draws what to add to the pose, ``(3,)``.
+            mount: how the robot carries its camera, as in ``Mounts``.
+
+        Returns:
+            ``(3,)``, the first of some drawn poses that will do; the listed one where none does.
+        """
+        mounts = Mounts(*(np.array([value]) for value in mount))
+        for _ in range(_OFFSETS):
+            moved = episode.pose + draw_offset()
+            if not self._random_places.suits(moved, episode.goal) or not self._moving_keep_clear(episode.phases, moved):
+                continue
+            if self._views(moved[None], episode.phases, mounts)[0] >= self._task.collision_depth:
+                return np.array([*moved[:2], wrap_angle(moved[2])])
+        return episode.pose
+
     def _checked(self, path: Path) -> tuple[int, int]:
         for kind, index, places in (("start", path.start_index, self._starts), ("goal", path.goal_index, self._goals)):
             allowed = range(len(places)) if len(places) else (-1,)
@@ -296,7 +322,7 @@ class Episodes:
     def _wanted_view(self) -> float:
         return max(self._task.start_view, self._task.collision_depth)
 
-    def _views(self, poses: np.ndarray, phases: np.ndarray | None = None) -> np.ndarray:
+    def _views(self, poses: np.ndarray, phases: np.ndarray | None = None, mounts: Mounts | None = None) -> np.ndarray:
         """``(K,)`` float32: least depth of anything but the floor, metres, at most ``_wanted_view``.
 
         What can be pushed is where the file puts it; what moves is left out, unless its phases ``(D,)`` are given.
@@ -308,7 +334,7 @@ class Episodes:
             own = np.zeros(len(poses), dtype=np.intp)
             obstacles = dynamics.poses(own, row, np.zeros(len(poses)))
             moving = dynamics.prisms(own, obstacles, dynamics.is_pushable if phases is None else None)
-        return nearest_depth(self._scene, world_index, poses, self._camera, self._wanted_view, moving)
+        return nearest_depth(self._scene, world_index, poses, self._camera, self._wanted_view, mounts, moving)
 
     @cached_property
     def _yaws(self) -> list[tuple[np.ndarray, float]]:
