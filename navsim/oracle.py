@@ -20,6 +20,7 @@ A plan is driven in the simulator before it is handed out.
 from __future__ import annotations
 
 import heapq
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,14 +29,15 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from navsim.camera import DepthCamera
-from navsim.dynamics import Dynamics, MovingPrisms
+from navsim.dynamics import Dynamics, MovingPrisms, dynamic_obstacles
 from navsim.footprints import Footprints
+from navsim.motion_rules import sweeps
 from navsim.planner import DistanceField, shortest_path
 from navsim.raycast import Scene, cast, nearest_depth
 from navsim.robot import ACTIONS, INITIAL_COMMAND, NUM_ACTIONS, TURTLEBOT2, Robot, apply_actions, wrap_angle
 from navsim.simulator import Simulator
 from navsim.task import Task, goal_distance
-from navsim.world import World
+from navsim.world import Cylinder, Obstacle, Polygon, World
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,7 @@ _EFFORTS = (
 """One after the other until there is a plan: with ease, then tighter, then all that the rules allow."""
 
 _CELL_LASTS = 1.0  # seconds, where something moves
+_SHUT_STEP = 0.1  # metres between the places of a door's edge that stand for the floor that it sweeps
 _BATCH = 64  # nodes that are examined at a time
 _METRES_A_SECOND = 0.1  # what a second costs beside the metres driven
 _GUIDE_RESOLUTION = 0.05  # metres between neighbouring points of the guide's grid
@@ -101,7 +104,8 @@ class Oracle:
         self.robot = robot
         self._simulator = Simulator(world, camera=self.camera, task=self.task, robot=robot)
         self._rules = _Rules(world, self.camera, self.task, robot)
-        self._guides: dict[tuple[float, float, float], _Guide] = {}
+        self._maps = _maps(world)
+        self._guides: dict[tuple[int, float, float, float], _Guide] = {}
 
     def plan(
         self, start_pose: np.ndarray, goal: np.ndarray, phases: np.ndarray | Sequence[float] = ()
@@ -132,19 +136,19 @@ class Oracle:
             return None
         row = np.zeros(self._rules.dynamics.most)
         row[: len(phases)] = phases
-        for effort in _EFFORTS:
-            actions = _search(pose, target, row, effort, self._rules, self._guide(target, effort))
+        for effort, world in itertools.product(_EFFORTS, self._maps):
+            actions = _search(pose, target, row, effort, self._rules, self._guide(world, target, effort))
             if actions is not None and self._succeeds(pose, target, row, actions):
                 return actions
         return None
 
-    def _guide(self, goal: np.ndarray, effort: _Effort) -> _Guide:
-        key = (float(goal[0]), float(goal[1]), effort.guide_margin)
+    def _guide(self, world: World, goal: np.ndarray, effort: _Effort) -> _Guide:
+        key = (id(world), float(goal[0]), float(goal[1]), effort.guide_margin)
         if key not in self._guides:
             if len(self._guides) >= _GUIDES_KEPT:
                 self._guides.clear()
             radius = self.robot.radius + effort.guide_margin
-            self._guides[key] = _Guide(self.world, goal, radius, self.robot.height, self.task.goal_radius)
+            self._guides[key] = _Guide(world, goal, radius, self.robot.height, self.task.goal_radius)
         return self._guides[key]
 
     def _succeeds(self, pose: np.ndarray, goal: np.ndarray, phases: np.ndarray, actions: np.ndarray) -> bool:
@@ -190,6 +194,28 @@ def plan(
         ``(K,)`` int64 actions that succeed in the simulator, or None where none were found.
     """
     return Oracle(world, camera, task, robot).plan(start_pose, goal, phases)
+
+
+def _maps(world: World) -> list[World]:
+    """What guides a search: the world without what moves; and, where a door swings, with all its floor shut too.
+
+    A search that is guided through a door waits in front of it for all that its budget allows; one that is guided
+    around it finds the other way, if there is one.
+    """
+    swings = [one for one in dynamic_obstacles(world) if one.moves and (one.knots[:, 2] != 0.0).any()]
+    if not swings:
+        return [world]
+    shut: list[Obstacle] = [obstacle for obstacle in world.obstacles if obstacle.motion is None]
+    for one in swings:
+        height = one.top - one.base
+        for sweep in sweeps(one, swing_step=_SHUT_STEP):
+            if sweep.radius > 0.0:
+                (x, y), *_ = sweep.vertices.tolist()
+                shut.append(Cylinder(at=(x, y), radius=sweep.radius, base=one.base, height=height))
+            else:
+                corners = tuple((x, y) for x, y in sweep.vertices.tolist())
+                shut.append(Polygon(points=corners, base=one.base, height=height))
+    return [world, world.model_copy(update={"obstacles": tuple(shut)})]
 
 
 class _Rules:

@@ -186,7 +186,7 @@ class Physics:
         """
         substeps = velocities.shape[1]
         involved = self._involved_obstacles(travel, substeps * dt)
-        lively: np.ndarray = involved.any(axis=1)  # type: ignore[assignment]
+        lively: np.ndarray = np.any(involved, axis=1)
         for index in np.flatnonzero(lively).tolist():
             world, near = int(self.world_index[index]), involved[index]
             fastest = float(self.dynamics.top_speed[world, near].max())
@@ -288,6 +288,38 @@ class Physics:
         if space is None:
             space = self._spaces[world] = _Space(self.worlds[world], self.robot)
         return space
+
+
+def obstacle_poses_along(
+    world: World,
+    start: np.ndarray,
+    phases: np.ndarray | Sequence[float],
+    commands: np.ndarray,
+    duration: float,
+    robot: Robot = TURTLEBOT2,
+    substep: float = 0.02,
+) -> np.ndarray:
+    """Where a world's dynamic obstacles are while a robot drives: its episode once more, for pictures of it.
+
+    Args:
+        world: the world.
+        start: ``(3,)`` the robot's pose at the beginning.
+        phases: of the moving obstacles at the beginning.
+        commands: ``(K, 2)`` m/s and rad/s.
+        duration: of each command, seconds.
+        robot: who drives.
+        substep: of the physics, seconds.
+
+    Returns:
+        ``(K + 1, D, 3)``, at the beginning and after each command; see ``navsim.dynamics``.
+    """
+    physics = Physics([world], 1, robot, substep)
+    physics.place([0], 0, np.asarray(start, dtype=np.float64)[None], phases)
+    poses = [physics.obstacle_poses[0].copy()]
+    for command in commands:
+        physics.drive(command[None], duration)
+        poses.append(physics.obstacle_poses[0].copy())
+    return np.array(poses)
 
 
 def _chord_velocities(speeds: np.ndarray, directions: np.ndarray, dt: float) -> np.ndarray:

@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from navsim.camera import DepthCamera, Mounts, tilted
-from navsim.dynamics import MovingPrisms
+from navsim.dynamics import Dynamics, MovingPrisms
 from navsim.pitched import inverse_depths
 from navsim.prism import Prism
 from navsim.view import NEAR, Frames, View, edges_of, expand, frames_of, in_view
@@ -135,13 +135,20 @@ class _CellIndex:
         return owner, self._entries[start[owner] + inside]
 
 
-def render_depth(worlds: World | Sequence[World], poses: np.ndarray, camera: DepthCamera | None = None) -> np.ndarray:
+def render_depth(
+    worlds: World | Sequence[World],
+    poses: np.ndarray,
+    camera: DepthCamera | None = None,
+    obstacle_poses: np.ndarray | None = None,
+) -> np.ndarray:
     """Ideal planar depth images: what a perfect camera sees, without blind zone or noise.
 
     Args:
         worlds: one world for all poses, or one for each pose.
         poses: ``(N, 3)`` x, y (metres) and yaw (radians) of the robot.
         camera: image size, field of view, mounting and greatest depth; the Kinect at 80x64 by default.
+        obstacle_poses: ``(N, D, 3)`` where the obstacles that move or can be pushed are in each image, as
+            ``Simulator.obstacle_poses`` tells; by default where the world files put them.
 
     Returns:
         ``(N, H, W)`` float32, metres along the optical axis, at most ``camera.max_range``; 0 everywhere in an image
@@ -169,7 +176,11 @@ def render_depth(worlds: World | Sequence[World], poses: np.ndarray, camera: Dep
         distinct = [worlds[first] for first in firsts]
         rank = {first: number for number, first in enumerate(firsts)}
         world_index = np.array([rank[positions[id(world)]] for world in worlds], dtype=np.intp)
-    return cast(Scene(distinct), world_index, poses, camera or DepthCamera())
+    if obstacle_poses is None:
+        return cast(Scene(distinct), world_index, poses, camera or DepthCamera())
+    scene = Scene([world.fixed_prisms for world in distinct])
+    moving = Dynamics(distinct).prisms(world_index, obstacle_poses)
+    return cast(scene, world_index, poses, camera or DepthCamera(), moving=moving)
 
 
 def cast(

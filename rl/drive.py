@@ -84,6 +84,7 @@ def drive(
         camera=config.camera,
         task=config.task,
         robot=config.robot,
+        obstacle_poses=result.obstacle_poses(room, config.task, config.robot),
         q_values=watched.q_values if isinstance(watched, _Watched) else None,
         speed=speed,
     )

@@ -23,9 +23,11 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from navsim.camera import DepthCamera
+from navsim.dynamics import dynamic_obstacles
+from navsim.physics import obstacle_poses_along
 from navsim.planner import shortest_path_length
 from navsim.randomization import Randomization
-from navsim.robot import ACTIONS, NUM_ACTIONS, TURTLEBOT2, Action, Robot
+from navsim.robot import ACTIONS, INITIAL_COMMAND, NUM_ACTIONS, TURTLEBOT2, Action, Robot, apply_actions
 from navsim.sensor import SensorModel
 from navsim.simulator import Observation, Simulator, Transition
 from navsim.task import Path, Task
@@ -91,6 +93,8 @@ class PathResult:
     """Of a collision: whether the bumper hit something."""
     too_near: bool = False
     """Of a collision: whether something was seen nearer than the task's ``collision_depth``."""
+    phases: tuple[float, ...] = ()
+    """Where in their periods, from 0 to 1, the world's moving obstacles were at the start."""
 
     @property
     def steps(self) -> int:
@@ -101,6 +105,20 @@ class PathResult:
     def path_length(self) -> float:
         """Metres driven."""
         return float(np.linalg.norm(np.diff(self.trajectory[:, :2], axis=0), axis=1).sum())
+
+    def obstacle_poses(self, world: World, task: Task, robot: Robot = TURTLEBOT2) -> np.ndarray | None:
+        """``(K + 1, D, 3)`` where what moves or can be pushed was all along; None in a world where nothing does.
+
+        See ``navsim.physics.obstacle_poses_along``; what was pushed ends where it did up to the rounding of files.
+        """
+        if not dynamic_obstacles(world):
+            return None
+        command, commands = np.array([INITIAL_COMMAND]), []
+        for action in self.actions:
+            command = apply_actions(command, np.array([action]))
+            commands.append(command[0])
+        start, period = self.trajectory[0], task.control_period
+        return obstacle_poses_along(world, start, self.phases, np.array(commands), period, robot, task.substep)
 
     @property
     def spl(self) -> float:
@@ -123,6 +141,7 @@ class PathResult:
             "reward": self.reward,
             "path_length": self.path_length,
             "shortest_path_length": self.shortest_path_length,
+            "phases": list(self.phases),
             "actions": self.actions.tolist(),
             "trajectory": np.round(self.trajectory, 4).tolist(),
         }
@@ -137,6 +156,7 @@ class PathResult:
             outcome=values["outcome"],
             bumper=values.get("bumper", False),  # files of earlier versions do not say
             too_near=values.get("too_near", False),
+            phases=tuple(values.get("phases", ())),
             reward=values["reward"],
             shortest_path_length=values["shortest_path_length"],
             trajectory=np.array(values["trajectory"], dtype=np.float64).reshape(-1, 3),
@@ -387,8 +407,9 @@ def evaluate(
             actions=np.array(episode.actions, dtype=np.int64),
             bumper=episode.bumper,
             too_near=episode.too_near,
+            phases=tuple(own.tolist()),
         )
-        for path, start, goal, episode in zip(paths, starts, goals, episodes, strict=True)
+        for path, start, goal, own, episode in zip(paths, starts, goals, phases, episodes, strict=True)
     )
     policy_name = name or getattr(policy, "name", "") or type(policy).__name__
     return Evaluation(policy=policy_name, world=world.name, seed=seed, paths=tuple(results))
