@@ -103,7 +103,8 @@ def _rows(
 
     climb, base, top = climbs.reshape(-1)[row], view.base[pair], view.top[pair]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        at_base, at_top = climb / base, climb / top
+        # A base at the camera's very height, or a top, counts as one just below it, or above.
+        at_base, at_top = climb / np.where(base == 0.0, -0.0, base), climb / np.where(top == 0.0, 0.0, top)
     above, below = base > 0.0, top < 0.0
     # A plane that rises is under a prism until it meets its base, and over it from its top on.
     least = np.where(above, at_top, np.where(below, at_base, np.fmax(at_base, at_top)))

@@ -261,9 +261,12 @@ class Sensor:
 
         if model.lateral_noise > 0.0 and angle is not None:
             sigma = level * np.float32(model.lateral_noise) * lateral_sigma(angle)
-            for axis, pixels, of in ((-1, camera.width, KINECT_COLUMNS), (-2, camera.height, KINECT_ROWS)):
-                shift = self._normal(robots) * (sigma * np.float32(pixels / of))
-                inverse = _displaced(inverse, shift, self._uniform(robots), axis)
+            along, across = (
+                _displaced(inverse, self._normal(robots) * (sigma * np.float32(share)), self._uniform(robots), axis)
+                for axis, share in ((-1, camera.width / KINECT_COLUMNS), (-2, camera.height / KINECT_ROWS))
+            )
+            step = across - inverse
+            inverse = np.where(np.abs(step) < np.float32(EDGE / DISPARITY), along + step, across)
         measured = np.reciprocal(inverse)
         # What is out of range is no measurement, and has no noise.
         beyond = camera.from_planar(measured) >= np.float32(camera.max_range * (1.0 - 1e-6))
