@@ -2,8 +2,10 @@
 
 from navsim.camera import DepthCamera
 from navsim.errors import WorldError
+from navsim.randomization import Randomization
 from navsim.raycast import render_depth
 from navsim.robot import ACTIONS, NUM_ACTIONS, TURTLEBOT2, Robot
+from navsim.sensor import KINECT, SensorModel
 from navsim.simulator import Observation, Simulator, Transition
 from navsim.task import Path, Task
 from navsim.world import World
@@ -11,13 +13,16 @@ from navsim.worldfile import SHIPPED_WORLDS_DIRECTORY, load_world, save_world, s
 
 __all__ = [
     "ACTIONS",
+    "KINECT",
     "NUM_ACTIONS",
     "SHIPPED_WORLDS_DIRECTORY",
     "TURTLEBOT2",
     "DepthCamera",
     "Observation",
     "Path",
+    "Randomization",
     "Robot",
+    "SensorModel",
     "Simulator",
     "Task",
     "Transition",

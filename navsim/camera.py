@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -13,9 +13,44 @@ KINECT_VERTICAL_FOV_DEG = math.degrees(2.0 * math.atan(math.tan(math.radians(30.
 """Vertical field of view of a 640x480 image of square pixels that is 60° wide, degrees (46.83)."""
 
 
+class Mounts(NamedTuple):
+    """How the cameras of N robots are mounted; they may differ in nothing else."""
+
+    x: np.ndarray
+    """``(N,)`` metres ahead of each robot's centre"""
+    y: np.ndarray
+    """``(N,)`` metres to the left of it"""
+    z: np.ndarray
+    """``(N,)`` metres above the floor"""
+    pitch: np.ndarray
+    """``(N,)`` radians by which the optical axis points below the horizon"""
+
+    def take(self, robots: np.ndarray) -> Mounts:
+        """Those of some robots, by index or mask."""
+        return Mounts(*(values[robots] for values in self))
+
+
+def tilted(row_slopes: np.ndarray, pitch: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+    """How far rays of rows get ahead and upwards, level and plumb, per metre of planar depth.
+
+    The camera turns about its left axis. So a pixel's ray, (1, t, m) along the optical axis, to the left and towards
+    the image's upper border, is (cos p + m sin p, t, m cos p - sin p) ahead, to the left and upwards: the first and
+    the last depend on the row alone.
+
+    Args:
+        row_slopes: m of each row.
+        pitch: p, radians, positive downwards; of a shape that broadcasts with ``row_slopes``.
+
+    Returns:
+        two arrays of the broadcast shape; for a level camera ones, and ``row_slopes`` bit for bit.
+    """
+    sine, cosine = np.sin(pitch), np.cos(pitch)
+    return cosine + row_slopes * sine, row_slopes * cosine - sine
+
+
 @dataclass(frozen=True)
 class DepthCamera:
-    """A level depth camera on the robot; the defaults are the Kinect of a TurtleBot 2.
+    """A depth camera on the robot; the defaults are the Kinect of a TurtleBot 2.
 
     Any image size can be asked for: the field of view stays, so pixels need not be square.
 
@@ -38,6 +73,8 @@ class DepthCamera:
     """Where the camera sits to the left of the robot's centre, metres."""
     mount_z: float = 0.297
     """Height of the camera above the floor, metres."""
+    pitch_deg: float = 0.0
+    """Angle by which the camera looks down, degrees; negative: up. Depth is along the optical axis as it is pitched."""
     min_range: float = 0.05
     """Depth under which the sensor returns nothing, whatever its blind zone, metres."""
     max_range: float = 5.0
@@ -60,6 +97,12 @@ class DepthCamera:
                 raise ValueError(f"camera {name} must be a finite number of metres; got {getattr(self, name)!r}")
         if not (math.isfinite(self.mount_z) and self.mount_z > 0.0):
             raise ValueError(f"camera mount_z must be above the floor, in metres; got {self.mount_z!r}")
+        steepest = abs(self.pitch_deg) + 0.5 * self.vertical_fov_deg
+        if not steepest < 90.0:
+            raise ValueError(
+                "camera pitch_deg must leave every pixel's view ahead of the robot, so that |pitch_deg| plus half of "
+                f"vertical_fov_deg ({self.vertical_fov_deg:.4g}) is under 90 degrees; got {self.pitch_deg!r}"
+            )
         if not (0.0 <= self.min_range < self.max_range and math.isfinite(self.max_range)):
             raise ValueError(
                 f"camera ranges must satisfy 0 <= min_range < max_range; got {self.min_range!r} and {self.max_range!r}"
@@ -92,6 +135,26 @@ class DepthCamera:
         return (self.height / 2 - 0.5 - np.arange(self.height)) / self.fy
 
     @cached_property
+    def row_advances(self) -> np.ndarray:
+        """``(H,)`` metres ahead, along the floor, per metre of planar depth at the rows' centres; 1 if level."""
+        return tilted(self.row_slopes, math.radians(self.pitch_deg))[0]
+
+    @cached_property
+    def row_climbs(self) -> np.ndarray:
+        """``(H,)`` metres upwards, plumb, per metre of planar depth at the rows' centres."""
+        return tilted(self.row_slopes, math.radians(self.pitch_deg))[1]
+
+    @property
+    def floor_reach(self) -> float:
+        """Metres along the floor that no ray gets further per metre of planar depth, at the centre of any pixel."""
+        return math.hypot(float(self.row_advances.max()), float(self.column_slopes[0]))
+
+    def mounts(self, count: int) -> Mounts:
+        """This camera on each of ``count`` robots."""
+        values = (self.mount_x, self.mount_y, self.mount_z, math.radians(self.pitch_deg))
+        return Mounts(*(np.full(count, value) for value in values))
+
+    @cached_property
     def inverse_row_slopes(self) -> np.ndarray:
         """``(H,)`` planar depth per metre of height; huge but finite for a level row, whose height never changes."""
         return 1.0 / np.where(np.abs(self.row_slopes) < 1e-12, 1e-12, self.row_slopes)
@@ -105,8 +168,8 @@ class DepthCamera:
     def least_floor_depth(self) -> float:
         """The least reading that the bare floor gives, metres (``max_range`` where no pixel sees it)."""
         depth = np.full((self.height, self.width), np.inf)
-        down = self.row_slopes < 0
-        depth[down] = (-self.mount_z / self.row_slopes[down])[:, None]
+        down = self.row_climbs < 0
+        depth[down] = (-self.mount_z / self.row_climbs[down])[:, None]
         return float(np.min(self.from_planar(depth)))
 
     def from_planar(self, planar: np.ndarray) -> np.ndarray:

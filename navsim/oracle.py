@@ -233,7 +233,7 @@ class _Rules:
             return near
         camera, limit = self._camera, self.task.collision_depth + margin
         # No pixel of that depth is further from the robot's centre than the image's corner columns.
-        reach = math.hypot(camera.mount_x, camera.mount_y) + limit * math.hypot(1.0, camera.column_slopes[0])
+        reach = math.hypot(camera.mount_x, camera.mount_y) + limit * camera.floor_reach
         clear, _ = self._all.nearest(poses[:, :2])
         doubtful = np.flatnonzero(clear < reach)
         index = np.zeros(len(doubtful), dtype=np.intp)

@@ -25,14 +25,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navsim.camera import DepthCamera
+from navsim.camera import DepthCamera, Mounts, tilted
+from navsim.pitched import inverse_depths
 from navsim.prism import Prism
+from navsim.view import NEAR, View, edges_of, expand, frames_of, in_view
 from navsim.world import World
-
-_NEAR = 1e-9
-"""Edges are cut off this far in front of the camera's plane, metres: what lies nearer projects outside any image.
-
-Polygons this close to the camera hold it; lines this close to it are seen edge-on, which is not at all."""
 
 
 class Scene:
@@ -108,7 +105,7 @@ class _CellIndex:
                 first = np.floor((low - reach - origin) / self._CELL).astype(np.intp)
                 last = np.floor((high + reach - origin) / self._CELL).astype(np.intp)
                 span = last - first + 1
-                prism, inside = _expand(span[:, 0] * span[:, 1])
+                prism, inside = expand(span[:, 0] * span[:, 1])
                 cell = (
                     (first[prism, 0] + inside // span[prism, 1]) * shape[1] + first[prism, 1] + inside % span[prism, 1]
                 )
@@ -133,7 +130,7 @@ class _CellIndex:
         cell = np.minimum(np.maximum(cell, 0), shape - 1)
         flat = self._first_cell[world_index] + cell[:, 0] * shape[:, 1] + cell[:, 1]
         start = self._start[flat]
-        owner, inside = _expand(self._start[flat + 1] - start)
+        owner, inside = expand(self._start[flat + 1] - start)
         return owner, self._entries[start[owner] + inside]
 
 
@@ -174,7 +171,9 @@ def render_depth(worlds: World | Sequence[World], poses: np.ndarray, camera: Dep
     return cast(Scene(distinct), world_index, poses, camera or DepthCamera())
 
 
-def cast(scene: Scene, world_index: np.ndarray, poses: np.ndarray, camera: DepthCamera) -> np.ndarray:
+def cast(
+    scene: Scene, world_index: np.ndarray, poses: np.ndarray, camera: DepthCamera, mounts: Mounts | None = None
+) -> np.ndarray:
     """``render_depth`` on a scene that is compiled once.
 
     Args:
@@ -182,18 +181,63 @@ def cast(scene: Scene, world_index: np.ndarray, poses: np.ndarray, camera: Depth
         world_index: ``(N,)``, each robot's world in the scene.
         poses: ``(N, 3)`` float64, robots' x, y (metres), yaw (radians).
         camera: the camera.
+        mounts: how each robot carries it, where that is not as ``camera`` says.
 
     Returns:
         ``(N, H, W)`` float32, planar depth in metres, at most ``camera.max_range``.
     """
+    mounts = camera.mounts(len(poses)) if mounts is None else mounts
+    pitched = mounts.pitch != 0.0
+    if not pitched.any():
+        return _cast_level(scene, world_index, poses, camera, mounts)
+    if pitched.all():
+        return _cast_pitched(scene, world_index, poses, camera, mounts)
+    image = np.empty((len(poses), camera.height, camera.width), dtype=np.float32)
+    for cast_some, some in ((_cast_level, ~pitched), (_cast_pitched, pitched)):
+        image[some] = cast_some(scene, world_index[some], poses[some], camera, mounts.take(some))
+    return image
+
+
+def nearest_depth(
+    scene: Scene,
+    world_index: np.ndarray,
+    poses: np.ndarray,
+    camera: DepthCamera,
+    within: float = 0.5,
+    mounts: Mounts | None = None,
+) -> np.ndarray:
+    """The least planar depth that any pixel sees of an obstacle or a wall, the floor left out.
+
+    Args:
+        scene, world_index, poses, camera, mounts: as for ``cast``.
+        within: how far to look, metres; a smaller figure is faster.
+
+    Returns:
+        ``(N,)`` float32, metres; ``within`` where nothing nearer is seen.
+    """
+    mounts = camera.mounts(len(poses)) if mounts is None else mounts
+    nearest = np.empty(len(poses), dtype=np.float32)
+    pitched = mounts.pitch != 0.0
+    for find, some in ((_nearest_level, ~pitched), (_nearest_pitched, pitched)):
+        if some.any():
+            nearest[some] = find(scene, world_index[some], poses[some], camera, mounts.take(some), within)
+    return nearest
+
+
+# ---- level cameras: column by column
+
+
+def _cast_level(
+    scene: Scene, world_index: np.ndarray, poses: np.ndarray, camera: DepthCamera, mounts: Mounts
+) -> np.ndarray:
     num_robots, height, width = len(poses), camera.height, camera.width
     half = (height + 1) // 2
-    standing, hanging = _trace(scene, world_index, poses, camera, camera.max_range)
+    standing, hanging = _trace(scene, world_index, poses, camera, mounts, camera.max_range)
     rows = np.full((half, 2 * num_robots * width), camera.max_range, dtype=np.float32)
     _paint_standing(rows, standing, camera)
-    floor = camera.mount_z * camera.inverse_row_slopes[:half]
-    lower = rows[:, num_robots * width :]
-    np.minimum(lower, floor.astype(np.float32)[:, None], out=lower)
+    floor = camera.inverse_row_slopes[:half, None] * mounts.z
+    lower = rows[:, num_robots * width :].reshape(half, num_robots, width)
+    np.minimum(lower, floor.astype(np.float32)[:, :, None], out=lower)
     _paint_hanging(rows, hanging, camera)
 
     upper, lower = rows.reshape(half, 2, num_robots, width).transpose(1, 2, 0, 3)
@@ -203,19 +247,15 @@ def cast(scene: Scene, world_index: np.ndarray, poses: np.ndarray, camera: Depth
     return image
 
 
-def nearest_depth(
-    scene: Scene, world_index: np.ndarray, poses: np.ndarray, camera: DepthCamera, within: float = 0.5
+def _nearest_level(
+    scene: Scene,
+    world_index: np.ndarray,
+    poses: np.ndarray,
+    camera: DepthCamera,
+    mounts: Mounts,
+    within: float,
 ) -> np.ndarray:
-    """The least planar depth that any pixel sees of an obstacle or a wall, the floor left out.
-
-    Args:
-        scene, world_index, poses, camera: as for ``cast``.
-        within: how far to look, metres; a smaller figure is faster.
-
-    Returns:
-        ``(N,)`` float32, metres; ``within`` where nothing nearer is seen.
-    """
-    standing, hanging = _trace(scene, world_index, poses, camera, within)
+    standing, hanging = _trace(scene, world_index, poses, camera, mounts, within)
     nearest = np.full(2 * len(poses), within, dtype=np.float32)
     seen = _row_under(standing.top, standing.near, camera) < (camera.height + 1) // 2
     np.minimum.at(nearest, standing.column[seen] // camera.width, standing.near[seen].astype(np.float32))
@@ -224,6 +264,49 @@ def nearest_depth(
     depth = np.maximum(hanging.near[seen], hanging.base[seen] * camera.inverse_row_slopes[first[seen]])
     np.minimum.at(nearest, hanging.column[seen] // camera.width, depth.astype(np.float32))
     return nearest.reshape(2, len(poses)).min(axis=0)
+
+
+# ---- cameras that look up or down: row by row
+
+
+def _inverse_depths(
+    scene: Scene, world_index: np.ndarray, poses: np.ndarray, camera: DepthCamera, mounts: Mounts, max_range: float
+) -> np.ndarray:
+    """``(N, H, W)`` inverse depths of all but the floor; 1 / ``max_range`` for nothing, inf inside an obstacle."""
+    frames = frames_of(poses, mounts)
+    half_width = math.tan(math.radians(camera.horizontal_fov_deg) / 2)
+    half_height = math.tan(math.radians(camera.vertical_fov_deg) / 2)
+    # No ray of that depth is longer, whatever the pitch: the scene keeps an index for this reach.
+    reach = max_range * math.hypot(1.0, half_width, half_height)
+    pairs = scene.candidates(world_index, frames.position, reach)
+    advances, climbs = tilted(camera.row_slopes, mounts.pitch[:, None])
+    view = in_view(scene, *pairs, frames, mounts, max_range * advances.max(axis=1), half_width / advances.min(axis=1))
+    return inverse_depths(view, camera, mounts.pitch, advances, climbs, max_range)
+
+
+def _cast_pitched(
+    scene: Scene, world_index: np.ndarray, poses: np.ndarray, camera: DepthCamera, mounts: Mounts
+) -> np.ndarray:
+    inverse = _inverse_depths(scene, world_index, poses, camera, mounts, camera.max_range)
+    _, climbs = tilted(camera.row_slopes, mounts.pitch[:, None])
+    floor = (-climbs / mounts.z[:, None]).astype(np.float32)
+    np.maximum(inverse, floor[:, :, None], out=inverse)
+    return np.minimum(np.reciprocal(inverse, out=inverse), np.float32(camera.max_range), out=inverse)
+
+
+def _nearest_pitched(
+    scene: Scene,
+    world_index: np.ndarray,
+    poses: np.ndarray,
+    camera: DepthCamera,
+    mounts: Mounts,
+    within: float,
+) -> np.ndarray:
+    inverse = _inverse_depths(scene, world_index, poses, camera, mounts, within)
+    return np.minimum(np.reciprocal(inverse.max(axis=(1, 2))), np.float32(within))
+
+
+# ---- what columns see
 
 
 class _Standing(NamedTuple):
@@ -279,44 +362,10 @@ def _paint_hanging(rows: np.ndarray, hanging: _Hanging, camera: DepthCamera) -> 
     # What stands before it in the first of its rows stands before it in all of them.
     shown = np.flatnonzero(count)
     shown = shown[hanging.near[shown] < pixels[pixel[shown]]]
-    owner, step = _expand(count[shown])
+    owner, step = expand(count[shown])
     owner = shown[owner]
     depth = np.maximum(hanging.near[owner], hanging.base[owner] * camera.inverse_row_slopes[first[owner] + step])
     np.minimum.at(pixels, pixel[owner] + step * row_size, depth.astype(np.float32))
-
-
-def _expand(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """For counts (2, 0, 3): owners (0, 0, 2, 2, 2) and positions within them (0, 1, 0, 1, 2)."""
-    owner = np.repeat(np.arange(len(counts)), counts)
-    first = np.cumsum(counts) - counts
-    return owner, np.arange(len(owner)) - first[owner]
-
-
-class _Frames(NamedTuple):
-    """The cameras' frames."""
-
-    position: np.ndarray  # (N, 2), metres
-    cosine: np.ndarray  # (N,), of the yaw
-    sine: np.ndarray
-
-    def ahead(self, distance: float) -> np.ndarray:
-        """``(N, 2)``, the points so many metres ahead of the cameras."""
-        return self.position + distance * np.stack([self.cosine, self.sine], axis=1)
-
-    def forward_and_left(self, points: np.ndarray, robot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Coordinates ``(K,)`` of ``points`` ``(K, 2)`` in the frames of ``robot`` ``(K,)``, metres."""
-        offset = points - self.position[robot]
-        cosine, sine = self.cosine[robot], self.sine[robot]
-        return offset[:, 0] * cosine + offset[:, 1] * sine, offset[:, 1] * cosine - offset[:, 0] * sine
-
-
-def _frames(poses: np.ndarray, camera: DepthCamera) -> _Frames:
-    """Where the cameras of robots at ``poses`` are."""
-    cosine, sine = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    position = np.empty((len(poses), 2))
-    position[:, 0] = poses[:, 0] + cosine * camera.mount_x - sine * camera.mount_y
-    position[:, 1] = poses[:, 1] + sine * camera.mount_x + cosine * camera.mount_y
-    return _Frames(position, cosine, sine)
 
 
 def _disc_around_view(half_width: float, max_range: float) -> tuple[float, float]:
@@ -333,31 +382,19 @@ def _disc_around_view(half_width: float, max_range: float) -> tuple[float, float
 
 
 def _trace(
-    scene: Scene, world_index: np.ndarray, poses: np.ndarray, camera: DepthCamera, max_range: float
+    scene: Scene, world_index: np.ndarray, poses: np.ndarray, camera: DepthCamera, mounts: Mounts, max_range: float
 ) -> tuple[_Standing, _Hanging]:
-    """What all columns can see up to ``max_range`` metres."""
-    frames = _frames(poses, camera)
+    """What all columns of level cameras can see up to ``max_range`` metres."""
+    frames = frames_of(poses, mounts)
     half_width = math.tan(math.radians(camera.horizontal_fov_deg) / 2)
     middle, reach = _disc_around_view(half_width, max_range)
-    robot, prism = scene.candidates(world_index, frames.ahead(middle), reach)
-    forward, left = frames.forward_and_left(scene.centre[prism], robot)
-    reach = scene.bounding_radius[prism]
-    # The sides of the view are planes through the camera: compare distances from them.
-    beyond = forward * half_width + reach * math.hypot(1.0, half_width)
-    seen = np.flatnonzero((forward > -reach) & (forward < max_range + reach) & (np.abs(left) < beyond))
-    robot, prism, forward, left = robot[seen], prism[seen], forward[seen], left[seen]
-    base, top, radius = scene.base[prism] - camera.mount_z, scene.top[prism] - camera.mount_z, scene.radius[prism]
-    hangs = (base > 0.0) | (top < 0.0)
-
-    circles, polygons = np.flatnonzero(radius > 0.0), np.flatnonzero(radius == 0.0)
-    count = scene.vertex_count[prism[polygons]]
-    local, vertex = _expand(count)
-    pair = polygons[local]
-    corner = scene.vertices[scene.first_vertex[prism[pair]] + vertex]
-    ahead, aside = frames.forward_and_left(corner, robot[pair])
+    pairs = scene.candidates(world_index, frames.ahead(middle), reach)
+    view = in_view(scene, *pairs, frames, mounts, max_range, half_width)
+    robot, base, top, radius, hangs = view.robot, view.base, view.top, view.radius, view.hangs
+    circles = np.flatnonzero(radius > 0.0)
     parts = (
-        _trace_circles(circles, forward[circles], left[circles], radius[circles], camera),
-        _trace_polygons(polygons, count, ahead, aside, hangs, camera),
+        _trace_circles(circles, view.forward[circles], view.left[circles], radius[circles], camera),
+        _trace_polygons(view, camera),
     )
     pair, column, near, far = (np.concatenate(both) for both in zip(*parts, strict=True))
     column += (robot * camera.width)[pair]
@@ -405,7 +442,7 @@ def _trace_circles(
     high = np.where(ahead, (left * forward + root) / squared, np.inf)
     low = np.where(ahead, (left * forward - root) / squared, -np.inf)
     first, count = _columns_between(width / 2 - 0.5 - high * camera.fx, width / 2 - 0.5 - low * camera.fx + 1e-9, width)
-    owner, inside = _expand(count)
+    owner, inside = expand(count)
     column = first[owner] + inside
     slope = camera.column_slopes[column]
     along = forward[owner] + slope * left[owner]
@@ -419,62 +456,42 @@ def _trace_circles(
     return pair[owner[hit]], column[hit], np.maximum(near[hit], 0.0), far[hit]
 
 
-def _trace_polygons(
-    polygons: np.ndarray,
-    count: np.ndarray,
-    ahead: np.ndarray,
-    aside: np.ndarray,
-    hangs: np.ndarray,
-    camera: DepthCamera,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _trace_polygons(view: View, camera: DepthCamera) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Columns' rays through convex polygons: pair, column, near, far of each crossing.
 
-    Args:
-        polygons: ``(Q,)`` pairs that are polygons.
-        count: ``(Q,)`` numbers of their vertices.
-        ahead, aside: ``(E,)`` the vertices in the camera's frame, metres, counter-clockwise within each polygon.
-        hangs: by pair, whether the depth at which rays leave matters; elsewhere ``far`` is ``near``.
-        camera: the camera.
+    The depth at which rays leave matters for prisms over or under the camera; for others ``far`` is ``near``.
     """
     width, fx = camera.width, camera.fx
-    first = np.cumsum(count) - count
-    following = np.arange(1, len(ahead) + 1)
-    following[first + count - 1] = first
-    pair = np.repeat(polygons, count)
-    ahead_1, aside_1 = ahead[following], aside[following]
-    # The edge's line: normal . P = offset; negative offsets for edges that face the camera.
-    normal_ahead, normal_aside = aside_1 - aside, ahead - ahead_1
-    offset = normal_ahead * ahead + normal_aside * aside
-    margin = _NEAR * math.hypot(1.0, camera.column_slopes[0]) * np.hypot(normal_ahead, normal_aside)
-    inside = np.zeros(len(hangs), dtype=bool)
-    inside[polygons] = np.minimum.reduceat(offset + margin, first) >= 0.0
+    ahead, aside, hangs = view.ahead, view.aside, view.hangs
+    edges = edges_of(view, camera.column_slopes[0])
+    pair, following, offset = edges.pair, edges.following, edges.offset
 
-    behind = ahead < _NEAR
+    behind = ahead < NEAR
     behind_1 = behind[following]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         u = width / 2 - 0.5 - fx * aside / ahead
-        crossing = aside + (aside_1 - aside) * (_NEAR - ahead) / (ahead_1 - ahead)
-        u_crossing = width / 2 - 0.5 - fx * crossing / _NEAR
+        crossing = aside + (aside[following] - aside) * (NEAR - ahead) / (ahead[following] - ahead)
+        u_crossing = width / 2 - 0.5 - fx * crossing / NEAR
         # Depth along an edge is the inverse of a line over the columns.
-        inverse_slope = -normal_aside / (fx * offset)
-        inverse_start = normal_ahead / offset - inverse_slope * (width / 2 - 0.5)
+        inverse_slope = -edges.normal_aside / (fx * offset)
+        inverse_start = edges.normal_ahead / offset - inverse_slope * (width / 2 - 0.5)
     begin, end = (
         np.ceil(np.fmin(np.fmax(end_of_edge, 0.0), width))
         for end_of_edge in (np.where(behind, u_crossing, u), np.where(behind_1, u_crossing, u[following]))
     )
     # Seen from outside, the edges of a counter-clockwise polygon that face the camera run to the right in the image.
-    runs = np.where((behind & behind_1) | (np.abs(offset) <= margin), 0.0, end - begin)
+    runs = np.where((behind & behind_1) | edges.edge_on, 0.0, end - begin)
 
-    def columns_of(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def columns_of(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Pair, column and depth of each crossing of these edges."""
-        owner, step = _expand(np.abs(runs[edges]).astype(np.intp))
-        edge = edges[owner]
-        column = np.minimum(begin, end)[edges].astype(np.intp)[owner] + step
+        owner, step = expand(np.abs(runs[chosen]).astype(np.intp))
+        edge = chosen[owner]
+        column = np.minimum(begin, end)[chosen].astype(np.intp)[owner] + step
         return pair[edge], column, 1.0 / (inverse_start[edge] + inverse_slope[edge] * column)
 
-    holds = inside[pair]
+    holds = edges.holds[pair]
     entered, column, near = columns_of(np.flatnonzero(np.where(holds, runs < 0.0, runs > 0.0)))
-    near[inside[entered]] = 0.0
+    near[edges.holds[entered]] = 0.0
     left, left_column, left_far = columns_of(np.flatnonzero((runs < 0.0) & hangs[pair]))
     number = np.cumsum(hangs) - 1  # of pairs that hang
     far_of = np.zeros(np.count_nonzero(hangs) * width)

@@ -52,6 +52,9 @@ class Action(NamedTuple):
     """rad/s, positive to the left"""
 
 
+WHEEL_SEPARATION = 0.23
+"""Distance between the Kobuki's two driven wheels, metres (Kobuki user guide: wheelbase 230 mm)."""
+
 ACTIONS: tuple[Action, ...] = (
     Action(0.2, None),
     Action(0.4, None),
@@ -89,6 +92,34 @@ def apply_actions(commands: np.ndarray, actions: np.ndarray) -> np.ndarray:
     [[0.4, 0.0], [0.2, 0.785]]
     """
     return np.where(_CHANGES[actions], _VALUES[actions], commands)
+
+
+def with_wheel_errors(commands: np.ndarray, errors: np.ndarray, separation: float = WHEEL_SEPARATION) -> np.ndarray:
+    """What a robot does whose two wheels each turn a share faster or slower than they are told.
+
+    Wheels at v - ω s/2 (left) and v + ω s/2 (right) for a separation s carry the robot at the mean of both, and turn it
+    at their difference over s.
+
+    Args:
+        commands: ``(N, 2)`` linear (m/s) and angular (rad/s) commands.
+        errors: ``(N, 2)`` shares, of the left and of the right wheel; 0 gives the command bit for bit.
+        separation: of the wheels, metres.
+
+    Returns:
+        ``(N, 2)`` linear (m/s) and angular (rad/s) speeds.
+
+    >>> with_wheel_errors(np.array([[0.4, 0.0]]), np.array([[0.0, 0.05]])).round(4).tolist()  # the right one is fast
+    [[0.41, 0.087]]
+    """
+    both, apart = 0.5 * (errors[:, 0] + errors[:, 1]), errors[:, 1] - errors[:, 0]
+    linear, angular = commands[:, 0], commands[:, 1]
+    return np.stack(
+        [
+            linear + both * linear + 0.25 * separation * apart * angular,
+            angular + both * angular + apart * linear / separation,
+        ],
+        axis=1,
+    )
 
 
 def wrap_angle(angle: np.ndarray) -> np.ndarray:

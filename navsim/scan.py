@@ -32,6 +32,9 @@ def obstacle_depth(
     A pixel's height above the floor follows from its depth and its row, so the floor drops out by geometry and so does
     what hangs above ``high``. "No return" (0) is something nearer than the camera's blind zone: its depth is 0.
 
+    A column is one of a level camera's, whatever the camera's pitch. What a pitched camera sees there lies along a line
+    of its image that leans: in each row the pixel nearest to it is taken. Depth is along the floor.
+
     Args:
         depth: ``(..., H, W)``, ``uint8`` as the networks get it or float metres.
         camera: whose images they are; H and W are its height and width.
@@ -39,21 +42,37 @@ def obstacle_depth(
         high: metres above the floor; higher pixels are out of the way.
 
     Returns:
-        ``(..., W)`` float32, metres along the optical axis; ``camera.max_range`` where the column is free.
+        ``(..., W)`` float32, metres ahead; ``camera.max_range`` where the column is free.
     """
     reading = metres(depth, camera)
     forward = reading if camera.depth == "planar" else reading / camera.ray_lengths
-    slopes = camera.row_slopes.astype(np.float32)[:, None]
-    height = np.float32(camera.mount_z) + slopes * forward
+    height = np.float32(camera.mount_z) + camera.row_climbs.astype(np.float32)[:, None] * forward
     obstructs = (reading < camera.max_range) & (height > low) & (height < high)
+    if camera.pitch_deg:
+        columns, inside = _columns_of_level_camera(camera)
+        obstructs = np.take_along_axis(obstructs, _like(columns, obstructs), axis=-1) & inside
+        forward = np.take_along_axis(forward, _like(columns, forward), axis=-1)
+        forward = forward * camera.row_advances.astype(np.float32)[:, None]
     return np.where(obstructs, forward, np.float32(camera.max_range)).min(axis=-2)
+
+
+def _columns_of_level_camera(camera: DepthCamera) -> tuple[np.ndarray, np.ndarray]:
+    """Column ``(H, W)`` in each row that looks where a level camera's columns do, and whether there is one."""
+    middle = camera.width / 2 - 0.5
+    column = np.rint(middle + (np.arange(camera.width) - middle) * camera.row_advances[:, None])
+    inside = (column >= 0) & (column < camera.width)
+    return np.clip(column, 0, camera.width - 1).astype(np.intp), inside
+
+
+def _like(columns: np.ndarray, images: np.ndarray) -> np.ndarray:
+    return np.broadcast_to(columns, images.shape)
 
 
 def scan_points(column_depth: np.ndarray, camera: DepthCamera) -> np.ndarray:
     """Points of a scan on the floor plane in the robot's frame (x forward, y left).
 
     Args:
-        column_depth: ``(..., W)`` planar depths, metres.
+        column_depth: ``(..., W)`` metres ahead.
         camera: whose columns and mounting they are.
 
     Returns:

@@ -7,11 +7,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from navsim.camera import DepthCamera
+from navsim.camera import DepthCamera, Mounts
 from navsim.physics import Physics
+from navsim.randomization import Randomization
 from navsim.raycast import Scene, cast
-from navsim.robot import INITIAL_COMMAND, NUM_ACTIONS, TURTLEBOT2, Robot, apply_actions
-from navsim.task import Episodes, Path, Task, goal_distance, heading, rewards
+from navsim.robot import INITIAL_COMMAND, NUM_ACTIONS, TURTLEBOT2, Robot, apply_actions, with_wheel_errors
+from navsim.sensor import Sensor, SensorModel
+from navsim.task import Episode, Episodes, Path, Task, goal_distance, heading, rewards
 from navsim.world import World
 
 
@@ -19,7 +21,7 @@ class Observation(NamedTuple):
     """What every robot perceives after a reset."""
 
     depth: np.ndarray
-    """``(N, H, W)`` uint8, the newest depth image as the networks get it: 255 is the camera's ``max_range``"""
+    """``(N, H, W)`` uint8, the depth image as the networks get it now: 255 is the camera's ``max_range``"""
     heading: np.ndarray
     """``(N,)`` float32, θ, the goal's bearing in the robot's frame, radians in (−π, π]"""
     pose: np.ndarray
@@ -63,6 +65,8 @@ class Simulator:
         camera: the depth camera.
         task: the rules of an episode.
         robot: the robot.
+        sensor: what the depth sensor makes of ideal images; by default nothing but ``uint8``.
+        randomization: what each episode draws anew; by default nothing.
         seed: of all that is drawn; None for a seed from the operating system.
         draw_worlds: let each episode draw its world from ``worlds`` instead.
 
@@ -71,6 +75,8 @@ class Simulator:
         commands: ``(N, 2)`` float64, linear (m/s) and angular (rad/s) commands in force.
         steps: ``(N,)`` int64, steps since the episode began.
         ideal_depth: ``(N, H, W)`` float32, the last images as the ideal sensor sees them, metres.
+        mounts: how each robot carries its camera.
+        wheel_errors: ``(N, 2)`` float64, share by which each robot's left and right wheel turn too fast.
 
     Raises:
         ValueError: for settings that cannot work, in one sentence.
@@ -93,6 +99,8 @@ class Simulator:
         camera: DepthCamera | None = None,
         task: Task | None = None,
         robot: Robot = TURTLEBOT2,
+        sensor: SensorModel | None = None,
+        randomization: Randomization | None = None,
         seed: int | None = None,
         draw_worlds: bool = False,
     ) -> None:
@@ -106,11 +114,18 @@ class Simulator:
         self.task = task or Task()
         self.task.check_camera(self.camera)
         self.robot = robot
+        self.sensor = sensor or SensorModel()
+        self.randomization = randomization or Randomization()
+        self.randomization.check(self.camera, self.task, self.sensor)
         self.draw_worlds = draw_worlds
         self.goals = np.zeros((num_robots, 2))
         self.commands = np.tile(np.array(INITIAL_COMMAND), (num_robots, 1))
         self.steps = np.zeros(num_robots, dtype=np.int64)
         self.ideal_depth = np.zeros((num_robots, self.camera.height, self.camera.width), dtype=np.float32)
+        self.mounts = self.camera.mounts(num_robots)
+        self.wheel_errors = np.zeros((num_robots, 2))
+        most_latency = self.sensor.latency + self.randomization.latency[1]
+        self._sensor = Sensor(self.camera, self.sensor, num_robots, most_latency)
         self._scene = Scene(self.worlds)
         self._physics = Physics(self.worlds, num_robots, robot, self.task.substep)
         self._episodes: dict[int, Episodes] = {}
@@ -138,6 +153,10 @@ class Simulator:
         """Starts the robots' random generators afresh; running episodes go on."""
         sequences = np.random.SeedSequence(seed).spawn(self.num_robots)
         self._generators = [np.random.default_rng(sequence) for sequence in sequences]
+        # Episodes are the same ones with and without noise or randomisation: those have generators of their own.
+        children = [sequence.spawn(2) for sequence in sequences]
+        self._domain_generators = [np.random.default_rng(domain) for domain, _ in children]
+        self._sensor.reseed([noise for _, noise in children])
 
     def reset(self, mask: np.ndarray | None = None, paths: Sequence[Path | None] | None = None) -> Observation:
         """Begins new episodes.
@@ -163,8 +182,9 @@ class Simulator:
         if len(robots):
             self._begin(robots, [None if paths is None else paths[robot] for robot in robots.tolist()])
             self.ideal_depth[robots] = self._look(robots)
+            self._sensor.begin(robots, self.ideal_depth[robots])
         return Observation(
-            self.camera.to_uint8(self.ideal_depth),
+            self._sensor.images,
             heading(self.poses, self.goals).astype(np.float32),
             self.poses.astype(np.float32),
         )
@@ -180,9 +200,11 @@ class Simulator:
             RuntimeError: when a robot's episode has ended and it was not reset.
         """
         self.commands = apply_actions(self.commands, self._checked(actions))
-        _, bumper = self._physics.drive(self.commands, self.task.control_period)
+        driven = with_wheel_errors(self.commands, self.wheel_errors)
+        _, bumper = self._physics.drive(driven, self.task.control_period)
         self.steps += 1
         self.ideal_depth = self._look(np.arange(self.num_robots))
+        self._sensor.advance(self.ideal_depth)
         too_near = self.ideal_depth.min(axis=(1, 2)) < self.task.collision_depth
         success = goal_distance(self.poses, self.goals) < self.task.goal_radius
         collision = (bumper | too_near) & ~success
@@ -191,7 +213,7 @@ class Simulator:
         self._ended = terminated | truncated
         headings = heading(self.poses, self.goals)
         return Transition(
-            depth=self.camera.to_uint8(self.ideal_depth),
+            depth=self._sensor.images,
             heading=headings.astype(np.float32),
             pose=self.poses.astype(np.float32),
             reward=rewards(self.task, self.commands[:, 0], headings, success, collision),
@@ -213,6 +235,10 @@ class Simulator:
             "start_and_goal": self._start_and_goal.copy(),
             "ended": self._ended.copy(),
             "generators": [generator.bit_generator.state for generator in self._generators],
+            "domain_generators": [generator.bit_generator.state for generator in self._domain_generators],
+            "mounts": np.stack(self.mounts, axis=1),
+            "wheel_errors": self.wheel_errors.copy(),
+            "sensor": self._sensor.state_dict(),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -232,8 +258,12 @@ class Simulator:
         self.steps = np.array(state["steps"], dtype=np.int64)
         self._start_and_goal = np.array(state["start_and_goal"])
         self._ended = np.array(state["ended"], dtype=bool)
-        for generator, generator_state in zip(self._generators, state["generators"], strict=True):
-            generator.bit_generator.state = generator_state
+        for name, generators in (("generators", self._generators), ("domain_generators", self._domain_generators)):
+            for generator, generator_state in zip(generators, state[name], strict=True):
+                generator.bit_generator.state = generator_state
+        self.mounts = Mounts(*np.array(state["mounts"], dtype=np.float64).T)
+        self.wheel_errors = np.array(state["wheel_errors"], dtype=np.float64)
+        self._sensor.load_state_dict(state["sensor"])
         self.ideal_depth = self._look(np.arange(self.num_robots))
 
     def _begin(self, robots: np.ndarray, paths: list[Path | None]) -> None:
@@ -242,11 +272,15 @@ class Simulator:
         for world in np.unique(worlds).tolist():
             members = np.flatnonzero(worlds == world)
             generators = [self._generators[robot] for robot in robots[members]]
-            episodes = self._episodes_of(world).draw_many(generators, [paths[member] for member in members])
+            episodes = self._episodes_of(world)
+            drawn = episodes.draw_many(generators, [paths[member] for member in members])
             chosen = robots[members]
-            self._physics.place(chosen, world, np.stack([episode.pose for episode in episodes]))
-            self.goals[chosen] = [episode.goal for episode in episodes]
-            self._start_and_goal[chosen] = [episode.path[:2] for episode in episodes]
+            poses = [
+                self._randomize(robot, episodes, episode) for robot, episode in zip(chosen.tolist(), drawn, strict=True)
+            ]
+            self._physics.place(chosen, world, np.stack(poses))
+            self.goals[chosen] = [episode.goal for episode in drawn]
+            self._start_and_goal[chosen] = [episode.path[:2] for episode in drawn]
         self.commands[robots] = INITIAL_COMMAND
         self.steps[robots] = 0
         self._ended[robots] = False
@@ -262,6 +296,19 @@ class Simulator:
             return int(self._generators[robot].integers(len(self.worlds)))
         return robot % len(self.worlds)
 
+    def _randomize(self, robot: int, episodes: Episodes, episode: Episode) -> np.ndarray:
+        """Draws what differs in a robot's next episode; returns its pose at the start, ``(3,)``."""
+        randomization, generator = self.randomization, self._domain_generators[robot]
+        drawn = randomization.draw(generator, self.camera, self.sensor)
+        for values, value in zip(self.mounts, drawn.mount, strict=True):
+            values[robot] = value
+        self.wheel_errors[robot] = drawn.wheel_errors
+        self._sensor.latency[robot] = drawn.latency
+        self._sensor.noise_level[robot] = drawn.noise_level
+        if episode.path.start_index < 0 or not randomization.moves_starts:
+            return episode.pose
+        return episodes.displace(episode.pose, episode.goal, lambda: randomization.draw_offset(generator), drawn.mount)
+
     def _episodes_of(self, world: int) -> Episodes:
         if world not in self._episodes:
             self._episodes[world] = Episodes(self.worlds[world], world, self._scene, self.camera, self.task, self.robot)
@@ -269,7 +316,8 @@ class Simulator:
 
     def _look(self, robots: np.ndarray) -> np.ndarray:
         """``(K, H, W)`` float32, what the ideal sensors of some robots see, metres."""
-        return self.camera.from_planar(cast(self._scene, self.world_index[robots], self.poses[robots], self.camera))
+        planar = cast(self._scene, self.world_index[robots], self.poses[robots], self.camera, self.mounts.take(robots))
+        return self.camera.from_planar(planar)
 
     def _checked(self, actions: np.ndarray) -> np.ndarray:
         actions = np.asarray(actions)

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from navsim.camera import DepthCamera
+from navsim.camera import DepthCamera, Mounts
 from navsim.places import RandomPlaces
 from navsim.raycast import Scene, nearest_depth
 from navsim.robot import Robot, wrap_angle
 from navsim.world import World
 
 _YAWS = np.deg2rad(np.arange(-175.0, 181.0, 5.0))  # what an open start yaw is drawn from
+_OFFSETS = 40  # offsets from a listed start that are tried before it is taken as it is
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ class Task:
             raise ValueError(
                 f"the camera sees the floor {floor:.2f} m away, nearer than the task's collision_depth of "
                 f"{self.collision_depth:g} m, so that every step would collide: lower collision_depth, "
-                "raise the camera (mount_z) or narrow its vertical_fov_deg"
+                "raise the camera (mount_z), tilt it up (pitch_deg) or narrow its vertical_fov_deg"
             )
 
 
@@ -222,6 +223,33 @@ class Episodes:
             goal = self._goals[goal_index]
         return start, goal
 
+    def displace(
+        self,
+        pose: np.ndarray,
+        goal: np.ndarray,
+        draw_offset: Callable[[], np.ndarray],
+        mount: tuple[float, float, float, float],
+    ) -> np.ndarray:
+        """A start near a listed one, at which the robot has the clearance, the way and the view that a start needs.
+
+        Args:
+            pose: ``(3,)`` x, y (metres), yaw (radians) of the listed start.
+            goal: ``(2,)`` metres.
+            draw_offset: draws what to add to the pose, ``(3,)``.
+            mount: how the robot carries its camera, as in ``Mounts``.
+
+        Returns:
+            ``(3,)``, the first of some drawn poses that will do; the listed one where none does.
+        """
+        mounts = Mounts(*(np.array([value]) for value in mount))
+        for _ in range(_OFFSETS):
+            moved = pose + draw_offset()
+            if not self._random_places.suits(moved, goal):
+                continue
+            if self._views(moved[None], mounts)[0] >= self._task.collision_depth:
+                return np.array([*moved[:2], wrap_angle(moved[2])])
+        return pose
+
     def _checked(self, path: Path) -> tuple[int, int]:
         for kind, index, places in (("start", path.start_index, self._starts), ("goal", path.goal_index, self._goals)):
             allowed = range(len(places)) if len(places) else (-1,)
@@ -234,10 +262,10 @@ class Episodes:
     def _wanted_view(self) -> float:
         return max(self._task.start_view, self._task.collision_depth)
 
-    def _views(self, poses: np.ndarray) -> np.ndarray:
+    def _views(self, poses: np.ndarray, mounts: Mounts | None = None) -> np.ndarray:
         """``(K,)`` float32: least depth of anything but the floor, metres, at most ``_wanted_view``."""
         world_index = np.full(len(poses), self._world_index)
-        return nearest_depth(self._scene, world_index, poses, self._camera, self._wanted_view)
+        return nearest_depth(self._scene, world_index, poses, self._camera, self._wanted_view, mounts)
 
     @cached_property
     def _yaws(self) -> list[tuple[np.ndarray, float]]:

@@ -254,7 +254,9 @@ def _training_settings(arguments: Sequence[str]) -> tuple["TrainConfig", bool]:
 
 def _parse(arguments: Sequence[str], default: "TrainConfig") -> tuple["TrainConfig", bool]:
     from navsim.camera import DepthCamera
+    from navsim.randomization import Randomization
     from navsim.robot import Robot
+    from navsim.sensor import SensorModel
     from navsim.task import Task
     from rl.config import Collection, Experiment, Exploration, Learning, Records, TrainConfig
 
@@ -271,11 +273,16 @@ def _parse(arguments: Sequence[str], default: "TrainConfig") -> tuple["TrainConf
         camera: DepthCamera = default.camera,
         task: Task = default.task,
         robot: Robot = default.robot,
+        sensor: SensorModel = default.sensor,
+        randomization: Randomization = default.randomization,
         resume: FlagCreatePairsOff[bool] = False,
     ) -> tuple[TrainConfig, bool]:
         groups: list[Any] = [experiment, collection, learning, exploration, records]
         values = {name: value for group in groups for name, value in vars(group).items()}
-        return TrainConfig(**values, camera=camera, task=task, robot=robot), resume
+        config = TrainConfig(
+            **values, camera=camera, task=task, robot=robot, sensor=sensor, randomization=randomization
+        )
+        return config, resume
 
     settings.__doc__ = f"""{train.__doc__}
 

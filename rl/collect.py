@@ -33,6 +33,8 @@ def make_env(config: TrainConfig, *, seed: int | None = None) -> NavEnv:
         camera=config.camera,
         task=config.task,
         robot=config.robot,
+        sensor=config.sensor,
+        randomization=config.randomization,
         seed=config.seed if seed is None else seed,
     )
 

@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from navsim.camera import DepthCamera
+from navsim.randomization import Randomization
 from navsim.robot import Robot
+from navsim.sensor import SensorModel
 from navsim.task import Task
 
 Model = Literal["I", "S"]
@@ -142,6 +144,10 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
     """Rewards, ends and time limit."""
     robot: Robot = field(default_factory=Robot)
     """The robot."""
+    sensor: SensorModel = field(default_factory=SensorModel)
+    """What the depth sensor makes of ideal images, in training and in evaluations."""
+    randomization: Randomization = field(default_factory=Randomization)
+    """What differs from one episode to the next, in training."""
 
     def __post_init__(self) -> None:
         problems = list(self._problems())
@@ -203,6 +209,11 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
             self.task.check_camera(self.camera)
         except ValueError as error:
             yield str(error)
+        else:
+            try:
+                self.randomization.check(self.camera, self.task, self.sensor)
+            except ValueError as error:
+                yield str(error)
         if self.max_grad_norm is not None and not self.max_grad_norm > 0:
             yield f"--max-grad-norm must be positive or None; got {self.max_grad_norm}"
 
@@ -228,11 +239,17 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
         unknown = sorted(set(values) - {setting.name for setting in dataclasses.fields(cls)})
         if unknown:
             raise ConfigError(f"unknown settings: {', '.join(unknown)}; was this written by another version?")
-        parts: tuple[tuple[str, type], ...] = (("camera", DepthCamera), ("task", Task), ("robot", Robot))
+        parts: dict[str, type] = {
+            "camera": DepthCamera,
+            "task": Task,
+            "robot": Robot,
+            "sensor": SensorModel,
+            "randomization": Randomization,
+        }
         try:
-            for name, part in parts:
+            for name, part in parts.items():
                 if name in values:
-                    values[name] = part(**values[name])
+                    values[name] = part(**{key: _untied(value) for key, value in values[name].items()})
         except (TypeError, ValueError) as error:
             raise ConfigError(f"settings of the {name} cannot be used: {error}") from error
         if "world" in values:
@@ -240,6 +257,11 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
         if values.get("out") is not None:
             values["out"] = Path(values["out"])
         return cls(**values)
+
+
+def _untied(value: Any) -> Any:
+    """A setting as JSON gives it back, whose tuples have become lists."""
+    return tuple(value) if isinstance(value, list) else value
 
 
 def _flag(name: str) -> str:

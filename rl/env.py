@@ -13,7 +13,9 @@ from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from navsim.camera import DepthCamera
+from navsim.randomization import Randomization
 from navsim.robot import NUM_ACTIONS, TURTLEBOT2, Robot
+from navsim.sensor import SensorModel
 from navsim.simulator import Observation, Simulator
 from navsim.task import Task
 from navsim.world import World
@@ -49,6 +51,8 @@ class NavEnv(EnvBase):
         camera: image size and everything else about the camera.
         task: rewards, ends and time limit.
         robot: its size and limits.
+        sensor: noise, lost returns and latency of the depth images; none by default.
+        randomization: what each episode draws anew of camera, wheels, sensor and start; nothing by default.
         seed: of everything drawn at random; ``set_seed`` replaces it. Fresh entropy by default.
         device: where tensors are put; the simulation runs on the CPU.
 
@@ -71,6 +75,8 @@ class NavEnv(EnvBase):
         camera: DepthCamera | None = None,
         task: Task | None = None,
         robot: Robot = TURTLEBOT2,
+        sensor: SensorModel | None = None,
+        randomization: Randomization | None = None,
         seed: int | None = None,
         device: torch.device | str = "cpu",
     ) -> None:
@@ -83,6 +89,8 @@ class NavEnv(EnvBase):
             camera=camera or DepthCamera(),
             task=task or Task(),
             robot=robot,
+            sensor=sensor,
+            randomization=randomization,
             seed=seed,
             draw_worlds=len(worlds) > 1,
         )

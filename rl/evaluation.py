@@ -24,7 +24,9 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from navsim.camera import DepthCamera
 from navsim.planner import shortest_path_length
+from navsim.randomization import Randomization
 from navsim.robot import ACTIONS, NUM_ACTIONS, TURTLEBOT2, Action, Robot
+from navsim.sensor import SensorModel
 from navsim.simulator import Observation, Simulator, Transition
 from navsim.task import Path, Task
 from navsim.world import World
@@ -281,6 +283,8 @@ def evaluate(
     camera: DepthCamera | None = None,
     task: Task | None = None,
     robot: Robot = TURTLEBOT2,
+    sensor: SensorModel | None = None,
+    randomization: Randomization | None = None,
     seed: int = 0,
     num_paths: int | None = None,
     console: Console | None = None,
@@ -301,6 +305,8 @@ def evaluate(
         camera: image size and everything else about the camera.
         task: rewards, ends and time limit.
         robot: its size and limits.
+        sensor: noise, lost returns and latency of the images that the policy sees; none by default.
+        randomization: what each path draws anew of camera, wheels, sensor and start; nothing by default.
         seed: of all that is drawn.
         num_paths: how many of the world's paths to drive, the first ones; by default all. A world whose starts or
             goals are random has as many as wanted, by default 100.
@@ -312,7 +318,16 @@ def evaluate(
     """
     world = world if isinstance(world, World) else load_world(world)
     paths = _paths_of(world, num_paths)
-    simulator = Simulator(world, len(paths), camera=camera, task=task, robot=robot, seed=seed)
+    simulator = Simulator(
+        world,
+        len(paths),
+        camera=camera,
+        task=task,
+        robot=robot,
+        sensor=sensor,
+        randomization=randomization,
+        seed=seed,
+    )
     observation = simulator.reset(paths=paths)
     starts, goals = simulator.poses.copy(), simulator.goals.copy()
     state = _first_state(observation)
@@ -445,7 +460,13 @@ def _subset(simulator: Simulator, kept: np.ndarray) -> Simulator:
         return [entry for entry, keep in zip(value, kept, strict=True) if keep]
 
     smaller = Simulator(
-        simulator.worlds, int(kept.sum()), camera=simulator.camera, task=simulator.task, robot=simulator.robot
+        simulator.worlds,
+        int(kept.sum()),
+        camera=simulator.camera,
+        task=simulator.task,
+        robot=simulator.robot,
+        sensor=simulator.sensor,
+        randomization=simulator.randomization,
     )
     smaller.load_state_dict(pick(simulator.state_dict()))
     return smaller

@@ -42,6 +42,7 @@ def finish(run: Run, console: Console) -> Path:
             camera=config.camera,
             task=config.task,
             robot=config.robot,
+            sensor=config.sensor,
             seed=config.seed,
             console=console,
         )

@@ -237,12 +237,28 @@ class _Logs:
 
 
 def _evaluate(learner: Learner, world: World, config: TrainConfig) -> Evaluation:
-    return evaluate(learner.actor, world, camera=config.camera, task=config.task, robot=config.robot, seed=config.seed)
+    return evaluate(
+        learner.actor,
+        world,
+        camera=config.camera,
+        task=config.task,
+        robot=config.robot,
+        sensor=config.sensor,
+        seed=config.seed,
+    )
 
 
 def _probe_states(worlds: Sequence[World], config: TrainConfig) -> TensorDictBase:
     """States met by random driving, the same for every run in the same worlds."""
-    env = NavEnv(worlds, config.num_envs, camera=config.camera, task=config.task, robot=config.robot, seed=0)
+    env = NavEnv(
+        worlds,
+        config.num_envs,
+        camera=config.camera,
+        task=config.task,
+        robot=config.robot,
+        sensor=config.sensor,
+        seed=0,
+    )
     with torch.random.fork_rng():
         torch.manual_seed(0)
         steps = 4 * _PROBE_STATES // config.num_envs + 1

@@ -102,7 +102,10 @@ def pixel_rays(camera: DepthCamera, pose: np.ndarray, rows: np.ndarray, columns:
     up = (1.0 - (2.0 * rows + 1.0) / camera.height) * math.tan(math.radians(0.5 * camera.vertical_fov_deg))
     forward = np.array([math.cos(pose[2]), math.sin(pose[2]), 0.0])
     leftward = np.array([-math.sin(pose[2]), math.cos(pose[2]), 0.0])
-    return forward + left[..., None] * leftward + up[..., None] * np.array([0.0, 0.0, 1.0])
+    pitch, plumb = math.radians(camera.pitch_deg), np.array([0.0, 0.0, 1.0])
+    axis = math.cos(pitch) * forward - math.sin(pitch) * plumb
+    upward = math.sin(pitch) * forward + math.cos(pitch) * plumb
+    return axis + left[..., None] * leftward + up[..., None] * upward
 
 
 def extruded(footprint: Polygon, base: float, top: float, convex: bool = False) -> trimesh.Trimesh:

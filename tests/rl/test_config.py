@@ -49,7 +49,14 @@ def test_every_setting_belongs_to_one_group_of_the_help():
     groups = [Experiment, Collection, Learning, Exploration, Records]
     grouped = [setting.name for group in groups for setting in dataclasses.fields(group)]
     assert len(grouped) == len(set(grouped))
-    assert {setting.name for setting in dataclasses.fields(TrainConfig)} == {*grouped, "camera", "task", "robot"}
+    assert {setting.name for setting in dataclasses.fields(TrainConfig)} == {
+        *grouped,
+        "camera",
+        "task",
+        "robot",
+        "sensor",
+        "randomization",
+    }
 
 
 @pytest.mark.parametrize(
