@@ -99,11 +99,10 @@ class RandomPlaces:
         )
 
     def suits(self, start: np.ndarray, goal: np.ndarray) -> bool:
-        """Whether an episode may begin at ``start`` ``(2 or more,)`` for ``goal`` ``(2,)``, as far as places tell."""
-        within = (np.abs(start[:2]) <= self._half_size).all()
-        if not within or self._room(start[None, :2])[0] < START_CLEARANCE:
-            return False
-        return bool(self._connected(start[None], goal[None, None])[0, 0])
+        """Whether a start ``(2 or 3,)`` is one for a goal ``(2,)``, whatever its view."""
+        inside = bool((np.abs(start[:2]) <= self._half_size).all())
+        has_room = inside and self._room(start[None, :2])[0] >= START_CLEARANCE
+        return bool(has_room and self._connected(start[None], goal[None, None])[0, 0])
 
     def _candidates(
         self, generators: Sequence[np.random.Generator], needs_start: np.ndarray, attempt: int

@@ -291,20 +291,16 @@ class Simulator:
         for world in np.unique(worlds).tolist():
             members = np.flatnonzero(worlds == world)
             generators = [self._generators[robot] for robot in robots[members]]
-            episodes = self._episodes_of(world).draw_many(generators, [paths[member] for member in members])
+            episodes = self._episodes_of(world)
+            drawn = episodes.draw_many(generators, [paths[member] for member in members])
             chosen = robots[members]
             poses = [
-                self._randomize(robot, self._episodes_of(world), episode)
-                for robot, episode in zip(chosen.tolist(), episodes, strict=True)
+                self._randomize(robot, episodes, episode) for robot, episode in zip(chosen.tolist(), drawn, strict=True)
             ]
-            self._physics.place(
-                chosen,
-                world,
-                np.stack(poses),
-                np.stack([episode.phases for episode in episodes]),
-            )
-            self.goals[chosen] = [episode.goal for episode in episodes]
-            self._start_and_goal[chosen] = [episode.path[:2] for episode in episodes]
+            phases = np.stack([episode.phases for episode in drawn])
+            self._physics.place(chosen, world, np.stack(poses), phases)
+            self.goals[chosen] = [episode.goal for episode in drawn]
+            self._start_and_goal[chosen] = [episode.path[:2] for episode in drawn]
         self.commands[robots] = INITIAL_COMMAND
         self.steps[robots] = 0
         self._ended[robots] = False

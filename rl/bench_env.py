@@ -1,4 +1,8 @@
-"""How fast ``NavEnv`` collects transitions, and where the time of a step goes."""
+"""How fast ``NavEnv`` collects transitions, and where the time of a step goes.
+
+All is processor time of one thread, which other programs on the machine change little. Freed memory is kept, as in
+training (``rl.memory``).
+"""
 
 from __future__ import annotations
 
@@ -21,6 +25,7 @@ from navsim.camera import DepthCamera
 from navsim.physics import Physics
 from navsim.simulator import Simulator
 from rl.env import NavEnv
+from rl.memory import keep_freed_memory
 from rl.run import processor
 
 NUM_ENVS = 16
@@ -34,7 +39,7 @@ _PARTS: dict[str, tuple[tuple[Any, str], ...]] = {
     "camera": ((navsim.simulator, "cast"), (DepthCamera, "from_planar"), (DepthCamera, "to_uint8")),
     "rules of the task": ((Simulator, "step"),),
     "new episodes": ((Simulator, "reset"),),
-    "image stacks and tensors": ((NavEnv, "_step"), (NavEnv, "_reset")),
+    "image stacks and tensors": ((NavEnv, "_step"), (NavEnv, "_reset"), (NavEnv, "maybe_reset")),
 }
 """What each part of a step consists of; time spent in a part that another one calls is the inner part's."""
 _REST = "TorchRL"
@@ -55,6 +60,7 @@ def run(console: Console, *, world: str = "complex_train", steps: int = 4_096) -
         navsim.WorldError: for a world file that cannot be used.
     """
     torch.set_num_threads(1)
+    keep_freed_memory()
     env = NavEnv(world, NUM_ENVS, seed=0)
     collector = Collector(env, frames_per_batch=BATCH, total_frames=-1, track_traj_ids=False, use_buffers=False)
     batches = iter(collector)
@@ -70,7 +76,8 @@ def run(console: Console, *, world: str = "complex_train", steps: int = 4_096) -
     camera = env.simulator.camera
     console.print(
         f"[bold]{rate:,.0f} transitions/s[/bold] ({min(rates):,.0f} to {max(rates):,.0f} in {_ROUNDS} rounds): "
-        f"{NUM_ENVS} robots in {world}, {camera.width}x{camera.height}, random actions, one thread, {processor()}"
+        f"{NUM_ENVS} robots in {world}, {camera.width}x{camera.height}, random actions, "
+        f"processor time of one thread, {processor()}"
     )
     console.print(_breakdown(spent, total, 1e6 * total / steps))
     return rate
@@ -98,11 +105,11 @@ def _stopwatch() -> Iterator[dict[str, float]]:
     def timed(part: str, function: Callable[..., Any]) -> Callable[..., Any]:
         def run(*args: Any, **kwargs: Any) -> Any:
             within.append(0.0)
-            begin = time.perf_counter()
+            begin = time.process_time()
             try:
                 return function(*args, **kwargs)
             finally:
-                seconds = time.perf_counter() - begin
+                seconds = time.process_time() - begin
                 spent[part] += seconds - within.pop()
                 if within:
                     within[-1] += seconds
@@ -117,6 +124,6 @@ def _stopwatch() -> Iterator[dict[str, float]]:
 
 
 def _seconds(function: Callable[[], Any]) -> float:
-    begin = time.perf_counter()
+    begin = time.process_time()
     function()
-    return time.perf_counter() - begin
+    return time.process_time() - begin

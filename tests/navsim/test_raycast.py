@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -131,6 +133,25 @@ def test_an_image_does_not_depend_on_the_batch_that_it_is_in(camera):
         np.testing.assert_array_equal(np.concatenate(images), together)
         depths = [nearest_depth(scene, world_index[part], poses[part], camera) for part in parts]
         np.testing.assert_array_equal(np.concatenate(depths), nearest)
+
+
+def test_an_image_does_not_depend_on_what_was_rendered_before_or_is_rendered_beside(monkeypatch):
+    rng = np.random.default_rng(14)
+    scene = Scene([World.from_dict(random_room(rng))])
+    sizes = [(camera, count) for camera in (DepthCamera(), SMALL, POINT) for count in (40, 1, 16)]
+    poses = random_poses(rng, 40, (7.0, 7.0))
+    alone = []
+    for camera, count in sizes:
+        monkeypatch.setattr(navsim.raycast, "_kept", threading.local())
+        alone.append(cast(scene, np.zeros(count, dtype=np.intp), poses[:count], camera))
+
+    def all_again() -> list[np.ndarray]:
+        return [cast(scene, np.zeros(count, dtype=np.intp), poses[:count], camera) for camera, count in sizes]
+
+    with ThreadPoolExecutor(4) as pool:
+        for images in pool.map(lambda _: all_again(), range(12)):
+            for image, expected in zip(images, alone, strict=True):
+                np.testing.assert_array_equal(image, expected)
 
 
 def test_in_a_big_world_nothing_in_view_is_left_out(monkeypatch):

@@ -7,6 +7,7 @@ import pickle
 import numpy as np
 import pytest
 import torch
+from torchrl.envs import EnvBase
 from torchrl.envs.utils import check_env_specs
 
 from navsim import World, load_world
@@ -146,3 +147,24 @@ def test_it_goes_on_from_its_state_bit_for_bit():
 def test_a_world_that_does_not_exist_is_told():
     with pytest.raises(ValueError, match="complex_trian"):
         NavEnv("complex_trian")
+
+
+def test_new_episodes_begin_as_torchrl_begins_them():
+    """``maybe_reset`` takes a shorter way than ``EnvBase``'s; what comes out must be the same."""
+    task = Task(max_steps=3)
+    shorter, longer = (NavEnv("complex_train", 5, task=task, seed=0) for _ in range(2))
+    before, expected = shorter.reset(), longer.reset()
+    generator = torch.Generator().manual_seed(0)
+    resets = 0
+    for _ in range(12):
+        action = torch.randint(7, (5,), generator=generator)
+        for data in (before, expected):
+            data.set("action", action)
+            data.set(("collector", "traj_ids"), torch.arange(5))
+        after = shorter.step(before)
+        resets += int(after["next", "done"].sum())
+        before = shorter.maybe_reset(shorter._step_mdp(after))
+        expected = EnvBase.maybe_reset(longer, longer._step_mdp(longer.step(expected)))
+        assert set(before.keys(True, True)) == set(expected.keys(True, True))
+        assert (before == expected).all()
+    assert resets >= 15
