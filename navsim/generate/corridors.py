@@ -10,7 +10,7 @@ from navsim.generate.layout import ImpossibleError, Layout, Shortfall
 from navsim.generate.pieces import Part
 from navsim.generate.placing import PASSAGE, SLACK
 
-DENSITY = 0.06
+DENSITY = 0.07
 """Share of the floor that walls cover by default."""
 CELL = (1.35, 1.9)
 """Metres, least and greatest distance between the middles of parallel walls."""
@@ -41,9 +41,9 @@ def layout(generator: np.random.Generator, size: tuple[float, float], density: f
     is_open = _tree(generator, shape)
     edges = _edges(shape)
     closed = [edge for edge in edges if edge not in is_open]
-    # As a start every second wall that closes a loop goes; more or fewer where the walls would be too thin or thick.
+    # One wall in five goes, which makes loops; more or fewer where walls would be too thin or too thick.
     order = generator.permutation(len(closed))
-    keep = min(len(closed), max(1, math.ceil(0.6 * len(closed))))
+    keep = min(len(closed), max(1, math.ceil(0.8 * len(closed))))
     target = density * size[0] * size[1]
     counts = sorted(range(1, len(closed) + 1), key=lambda count: abs(count - keep))
     for count in counts:

@@ -101,7 +101,7 @@ class _Plan:
         middle = begin + 0.5 * width
         centre = (place, middle) if axis == 0 else (middle, place)
         half = (PASSAGE, 0.5 * width) if axis == 0 else (0.5 * width, PASSAGE)
-        self._placer.keep_free(np.array(centre), half)
+        self._placer.keep_free(centre, half)
 
 
 def _desk(generator: np.random.Generator, factor: float) -> Piece:
@@ -112,7 +112,7 @@ def _desk(generator: np.random.Generator, factor: float) -> Piece:
     gap = generator.uniform(0.02, 0.08)
     whole = depth + gap + 2 * foot
     chair = (generator.uniform(-0.2, 0.2) * width, whole / 2 - foot)
-    parts = [part.moved(np.array([0.0, (depth - whole) / 2]), 0.0) for part in desk.parts]
+    parts = [part.moved((0.0, (depth - whole) / 2), 0.0) for part in desk.parts]
     parts += [
         Part("desk chair foot", chair, 0.08, radius=foot),
         Part("desk chair column", chair, 0.45, radius=0.04, is_covered=True),

@@ -11,8 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from navsim.camera import DepthCamera
 
 CAMERA_HEIGHT = DepthCamera().mount_z
@@ -45,12 +43,12 @@ class Part:
         """Whether it ends below the camera or begins above the floor: a planar laser at the camera's height fails."""
         return self.base > 0.0 or self.base + self.height < CAMERA_HEIGHT
 
-    def moved(self, at: np.ndarray, yaw_deg: float) -> Part:
+    def moved(self, at: tuple[float, float], yaw_deg: float) -> Part:
         """Turned about the piece's origin, which then goes to ``at``."""
         yaw = math.radians(yaw_deg)
         cos, sin = math.cos(yaw), math.sin(yaw)
         x, y = self.at
-        place = (float(at[0]) + x * cos - y * sin, float(at[1]) + x * sin + y * cos)
+        place = (at[0] + x * cos - y * sin, at[1] + x * sin + y * cos)
         return replace(self, at=place, yaw_deg=self.yaw_deg + yaw_deg)
 
     def scaled(self, factor: float) -> Part:

@@ -1,13 +1,18 @@
 """Placing furniture so that every gap is either closed or wide enough to drive through.
 
-Outlines are rectangles. A piece stands free in the room, or with its back to a wall, or beside other furniture; what
-touches belongs to one *group*, and between two groups, and between a group and a wall that it does not stand against,
-there is at least ``PASSAGE``.
+Outlines are rectangles. A piece stands free in the room, or with its back to a wall, or beside other furniture. What
+touches belongs to one *group*; between two groups, and between a group and a wall that it does not stand against, there
+is at least ``PASSAGE``.
+
+Numbers are plain floats: most places are refused by one of the first rectangles that they are compared with, which is
+over before an array would have been made.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +24,34 @@ PASSAGE = 1.0
 front; the shipped complex rooms have gaps of 1 m as well."""
 SLACK = 0.003
 """Metres by which a gap is chosen wider, and furniture stands off a wall: coordinates are then rounded to 1 mm."""
-_BATCHES = (12, 24, 48, 96)  # places tried for a piece, all at once, before it is given up
+_TRIES = 150  # places tried for a piece before it is given up
+_OUTER_WALLS = 4
+_WALL, _KEPT_FREE = -1, -2  # groups of what is no furniture
+
+
+class Rectangle(NamedTuple):
+    """A turned rectangle; metres and radians."""
+
+    x: float
+    y: float
+    half_x: float
+    half_y: float
+    yaw: float
+    cos: float
+    sin: float
+    reach: float
+    """From the middle to a corner."""
+
+    @classmethod
+    def of(cls, at: Sequence[float], half: Sequence[float], yaw: float) -> Rectangle:
+        """The rectangle around ``at`` with half the extents ``half``."""
+        return cls(
+            float(at[0]), float(at[1]), half[0], half[1], yaw, math.cos(yaw), math.sin(yaw), math.hypot(half[0], half[1])
+        )
+
+    def at(self, along: float, across: float) -> tuple[float, float]:
+        """A place given in the rectangle's own frame."""
+        return self.x + along * self.cos - across * self.sin, self.y + along * self.sin + across * self.cos
 
 
 class Placer:
@@ -27,43 +59,42 @@ class Placer:
 
     Args:
         generator: the only source of chance.
-        size: ``(2,)`` of the room, metres.
+        size: of the room, metres.
     """
 
     def __init__(self, generator: np.random.Generator, size: tuple[float, float]) -> None:
         self._generator = generator
-        self._half_size = 0.5 * np.asarray(size, dtype=np.float64)
+        self._half_size = (0.5 * size[0], 0.5 * size[1])
         self.parts: list[Part] = []
         """What has been placed, in the room's coordinates."""
-        self._centre = np.empty((0, 2))
-        self._half = np.empty((0, 2))
-        self._yaw = np.empty(0)
-        self._group = np.empty(0, dtype=np.intp)  # furniture from 0 up; _WALL and _KEPT_FREE
-        self._groups = 0
+        self._rectangles: list[Rectangle] = []
+        self._groups: list[int] = []  # of each rectangle: furniture from 0 up, or _WALL or _KEPT_FREE
+        self._walls: list[int] = []  # positions in _rectangles
+        self._furniture: list[int] = []
+        self._number_of_groups = 0
         (x, y), t = self._half_size, 0.5
         for centre, half, yaw in (
-            ((0.0, -y - t), (x + 2 * t, t), 0.0),
-            ((x + t, 0.0), (y + 2 * t, t), math.pi / 2),
-            ((0.0, y + t), (x + 2 * t, t), math.pi),
-            ((-x - t, 0.0), (y + 2 * t, t), -math.pi / 2),
+            ((0.0, -y - t), (x, t), 0.0),
+            ((x + t, 0.0), (y, t), math.pi / 2),
+            ((0.0, y + t), (x, t), math.pi),
+            ((-x - t, 0.0), (y, t), -math.pi / 2),
         ):
-            self._add(centre, half, yaw, _WALL)
+            self._add(Rectangle.of(centre, half, yaw), _WALL)
 
     def add_wall(self, part: Part) -> None:
         """A wall in the room: furniture may stand against its long sides."""
         assert part.size is not None
         self.parts.append(part)
-        self._add(part.at, (part.size[0] / 2, part.size[1] / 2), math.radians(part.yaw_deg), _WALL)
+        half = (part.size[0] / 2, part.size[1] / 2)
+        self._add(Rectangle.of(part.at, half, math.radians(part.yaw_deg)), _WALL)
 
-    def add_fixed(self, piece: Piece, at: np.ndarray, yaw_deg: float) -> None:
+    def add_fixed(self, piece: Piece, at: tuple[float, float], yaw_deg: float) -> None:
         """Furniture whose place is decided already."""
-        self.parts += [part.moved(at, yaw_deg) for part in piece.parts]
-        self._add(at, piece.half, math.radians(yaw_deg), self._groups)
-        self._groups += 1
+        self._put(piece, Rectangle.of(at, piece.half, math.radians(yaw_deg)), None)
 
-    def keep_free(self, centre: np.ndarray, half: tuple[float, float], yaw: float = 0.0) -> None:
-        """A rectangle that nothing may be placed in."""
-        self._add(centre, half, yaw, _KEPT_FREE)
+    def keep_free(self, centre: tuple[float, float], half: tuple[float, float]) -> None:
+        """A rectangle along the axes that nothing may be placed in."""
+        self._add(Rectangle.of(centre, half, 0.0), _KEPT_FREE)
 
     def place(self, piece: Piece, *, square: bool = False, joins: float = 0.15) -> bool:
         """Finds a place for a piece, and says whether there was one.
@@ -73,138 +104,124 @@ class Placer:
             square: free in the room, turn it by multiples of 90° only.
             joins: share of the tries in which it is put beside other furniture.
         """
-        half = np.asarray(piece.half) + 0.0
-        for count in _BATCHES:
-            centre, yaw, host = self._candidates(piece, count, square, joins)
-            fits = self._fits(centre, half, yaw, host)
-            if fits.any():
-                chosen = int(np.argmax(fits))
-                group = self._group[host[chosen]] if host[chosen] >= 0 else -1
-                if group < 0:
-                    group = self._groups
-                    self._groups += 1
-                self.parts += [part.moved(centre[chosen], math.degrees(yaw[chosen])) for part in piece.parts]
-                self._add(centre[chosen], half, float(yaw[chosen]), int(group))
+        for chances in self._generator.random((_TRIES, 5)).tolist():
+            place, host = self._candidate(piece, chances, square, joins)
+            if self._fits(place, host):
+                self._put(piece, place, host)
                 return True
         return False
 
-    def _add(self, centre, half, yaw: float, group: int) -> None:
-        self._centre = np.vstack([self._centre, centre])
-        self._half = np.vstack([self._half, half])
-        self._yaw = np.append(self._yaw, yaw)
-        self._group = np.append(self._group, group)
+    def _put(self, piece: Piece, place: Rectangle, host: int | None) -> None:
+        group = self._groups[host] if host is not None else _WALL
+        if group < 0:
+            group = self._number_of_groups
+            self._number_of_groups += 1
+        self.parts += [part.moved((place.x, place.y), math.degrees(place.yaw)) for part in piece.parts]
+        self._add(place, group)
 
-    def _candidates(
-        self, piece: Piece, count: int, square: bool, joins: float
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Places to try: centres ``(K, 2)``, yaws ``(K,)``, and what each one stands against, −1 for nothing."""
-        draw = self._generator
-        half = np.asarray(piece.half)
-        choice = draw.random((count, 5))
-        room = np.maximum(self._half_size - half.min() - SLACK, 0.0)
-        centre = draw.uniform(-1.0, 1.0, (count, 2)) * room
-        yaw = np.floor(4.0 * choice[:, 0]) * (math.pi / 2) if square else (2.0 * choice[:, 0] - 1.0) * math.pi
-        host = np.full(count, -1, dtype=np.intp)
-        walls, others = np.flatnonzero(self._group == _WALL), np.flatnonzero(self._group >= 0)
-        joins = joins if len(others) and piece.at_walls > 0.0 else 0.0
-        beside = choice[:, 1] < joins
-        against = ~beside & (choice[:, 1] < joins + (1.0 - joins) * piece.at_walls)
+    def _add(self, rectangle: Rectangle, group: int) -> None:
+        if group != _KEPT_FREE:
+            (self._walls if group == _WALL else self._furniture).append(len(self._rectangles))
+        self._rectangles.append(rectangle)
+        self._groups.append(group)
 
-        rows = np.flatnonzero(against)
-        if len(rows):
-            # A wall is as likely as it is long.
-            length = np.cumsum(self._half[walls, 0])
-            index = walls[np.searchsorted(length, choice[rows, 2] * length[-1]).clip(max=len(walls) - 1)]
-            back = np.where(index < 4, 1.0, np.where(choice[rows, 3] < 0.5, 1.0, -1.0))  # partitions have two sides
-            reach = np.where(index < 4, self._half[index, 0] - 1.0, self._half[index, 0]) - half[0] - SLACK
-            along = (2.0 * choice[rows, 4] - 1.0) * np.maximum(reach, 0.0) * 1.15  # often in the corner
-            along = np.clip(along, -np.maximum(reach, 0.0), np.maximum(reach, 0.0))
-            across = self._half[index, 1] + half[1] + SLACK
-            yaw[rows] = self._yaw[index] + np.where(back > 0, 0.0, math.pi)
-            centre[rows] = self._centre[index] + _turned(np.column_stack([along, back * across]), self._yaw[index])
-            host[rows] = index
-        rows = np.flatnonzero(beside)
-        if len(rows):
-            index = others[np.minimum((choice[rows, 2] * len(others)).astype(np.intp), len(others) - 1)]
-            sideways = choice[rows, 3] < 0.7  # the rest in front
-            sign = np.where(choice[rows, 4] < 0.5, -1.0, 1.0)
-            flush = half[1] - self._half[index, 1]  # backs in line
-            shift = centre[rows, 0] / max(room[0], 1e-9) * self._half[index, 0]
-            x = np.where(sideways, sign * (self._half[index, 0] + half[0] + SLACK), shift)
-            y = np.where(sideways, flush, self._half[index, 1] + half[1] + SLACK)
-            yaw[rows] = self._yaw[index]
-            centre[rows] = self._centre[index] + _turned(np.column_stack([x, y]), self._yaw[index])
-            host[rows] = index
-        return centre, yaw, host
+    def _candidate(
+        self, piece: Piece, chances: Sequence[float], square: bool, joins: float
+    ) -> tuple[Rectangle, int | None]:
+        """A place to try, and the position of what it stands against."""
+        manner, which, side, along, turn = chances
+        joins = joins if self._furniture and piece.at_walls > 0.0 else 0.0
+        if manner < joins:
+            host = self._furniture[int(which * len(self._furniture))]
+            return self._beside(piece, self._rectangles[host], side, along, turn), host
+        if manner < joins + (1.0 - joins) * piece.at_walls:
+            host = self._wall(which)
+            return self._against(piece, host, side, along), host
+        room_x, room_y = (max(0.0, half - min(piece.half) - SLACK) for half in self._half_size)
+        yaw = math.floor(4.0 * turn) * math.pi / 2 if square else (2.0 * turn - 1.0) * math.pi
+        return Rectangle.of(((2.0 * which - 1.0) * room_x, (2.0 * along - 1.0) * room_y), piece.half, yaw), None
 
-    def _fits(self, centre: np.ndarray, half: np.ndarray, yaw: np.ndarray, host: np.ndarray) -> np.ndarray:
-        """Whether a rectangle at each place keeps its distance from all that is there: ``(K,)``."""
-        halves = np.broadcast_to(half, centre.shape)
-        distance = rectangle_distances(centre, halves, yaw, self._centre, self._half, self._yaw)
-        needed = np.where(self._group == _KEPT_FREE, 1e-6, PASSAGE + SLACK)
-        own = np.where(host >= 0, self._group[host], -1)
-        joined = (self._group == own[:, None]) & (self._group >= 0)
-        leans = (self._group == _WALL) & (distance <= TOGETHER)
-        touches = np.where(joined | leans, 0.5 * SLACK, needed)
-        return (distance >= touches).all(axis=1)
+    def _wall(self, chance: float) -> int:
+        """One of the walls, as likely as it is long."""
+        left = chance * sum(self._rectangles[wall].half_x for wall in self._walls)
+        for wall in self._walls:
+            left -= self._rectangles[wall].half_x
+            if left < 0.0:
+                return wall
+        return self._walls[-1]
+
+    def _against(self, piece: Piece, host: int, side: float, along: float) -> Rectangle:
+        """With its back to a wall; in a corner, now and then."""
+        wall = self._rectangles[host]
+        turned = host >= _OUTER_WALLS and side < 0.5  # partitions have two sides
+        reach = max(0.0, wall.half_x - piece.half[0] - SLACK)
+        shift = min(reach, max(-reach, (2.0 * along - 1.0) * 1.15 * reach))
+        across = wall.half_y + piece.half[1] + SLACK
+        return Rectangle.of(
+            wall.at(shift, -across if turned else across), piece.half, wall.yaw + (math.pi if turned else 0.0)
+        )
+
+    def _beside(self, piece: Piece, host: Rectangle, side: float, along: float, turn: float) -> Rectangle:
+        """Beside other furniture with the backs in line, or in front of it."""
+        if side < 0.7:
+            away = host.half_x + piece.half[0] + SLACK
+            place = host.at(away if along < 0.5 else -away, piece.half[1] - host.half_y)
+        else:
+            place = host.at((2.0 * turn - 1.0) * host.half_x, host.half_y + piece.half[1] + SLACK)
+        return Rectangle.of(place, piece.half, host.yaw)
+
+    def _fits(self, place: Rectangle, host: int | None) -> bool:
+        """Whether a piece there keeps its distance from all that stands already."""
+        if abs(place.x) > self._half_size[0] or abs(place.y) > self._half_size[1]:
+            return False
+        own = self._groups[host] if host is not None else _WALL
+        gap = PASSAGE + SLACK
+        for rectangle, group in zip(self._rectangles, self._groups, strict=True):
+            if math.hypot(rectangle.x - place.x, rectangle.y - place.y) - rectangle.reach - place.reach >= gap:
+                continue
+            distance = rectangle_distance(place, rectangle, gap)
+            touches = distance >= 0.5 * SLACK
+            if group == _KEPT_FREE or (group == own and group >= 0):
+                if not touches:
+                    return False
+            elif distance < gap and not (group == _WALL and touches and distance <= TOGETHER):
+                return False
+        return True
 
 
-_WALL, _KEPT_FREE = -1, -2
+def rectangle_distance(one: Rectangle, other: Rectangle, enough: float = math.inf) -> float:
+    """Distance of two turned rectangles, metres; not positive where they overlap.
 
-
-def rectangle_distances(
-    centre: np.ndarray,
-    half: np.ndarray,
-    yaw: np.ndarray,
-    other_centre: np.ndarray,
-    other_half: np.ndarray,
-    other_yaw: np.ndarray,
-) -> np.ndarray:
-    """Distances between ``K`` and ``M`` turned rectangles, ``(K, M)``, metres; not positive where two overlap.
-
-    Apart, the least distance of two rectangles is at a corner of one of them. Whether they are apart is told by the
-    four directions of their sides (the separating axis theorem).
+    Whether they are apart is told by the directions of their sides (the separating axis theorem); apart, the least
+    distance is at a corner of one of them.
 
     Args:
-        centre: ``(K, 2)``, metres.
-        half: ``(K, 2)`` half the extents, metres.
-        yaw: ``(K,)`` radians.
-        other_centre: ``(M, 2)``.
-        other_half: ``(M, 2)``.
-        other_yaw: ``(M,)``.
+        one: a rectangle.
+        other: another.
+        enough: metres; where they are further apart than this, any number between this and the distance will do.
     """
-    offset = other_centre - centre[:, None]  # (K, M, 2)
-    cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
-    x, y = offset[..., 0] * cos + offset[..., 1] * sin, offset[..., 1] * cos - offset[..., 0] * sin
-    other_cos, other_sin = np.cos(other_yaw), np.sin(other_yaw)
-    u = offset[..., 0] * other_cos + offset[..., 1] * other_sin
-    v = offset[..., 1] * other_cos - offset[..., 0] * other_sin
-    c, s = cos * other_cos + sin * other_sin, cos * other_sin - sin * other_cos  # of the turn between the two
-    a, b = half[:, :1], half[:, 1:]
-    p, q = other_half[:, 0], other_half[:, 1]
-    here = _outside(x, y, c, s, p, q, a, b)
-    there = _outside(-u, -v, c, -s, a, b, p, q)
-    reach_x, reach_y = p * abs(c) + q * abs(s), p * abs(s) + q * abs(c)
-    reach_u, reach_v = a * abs(c) + b * abs(s), a * abs(s) + b * abs(c)
-    apart = np.maximum(
-        np.maximum(abs(x) - a - reach_x, abs(y) - b - reach_y), np.maximum(abs(u) - p - reach_u, abs(v) - q - reach_v)
+    dx, dy = other.x - one.x, other.y - one.y
+    x, y = dx * one.cos + dy * one.sin, dy * one.cos - dx * one.sin
+    u, v = dx * other.cos + dy * other.sin, dy * other.cos - dx * other.sin
+    c, s = one.cos * other.cos + one.sin * other.sin, one.cos * other.sin - one.sin * other.cos
+    a, b, p, q = one.half_x, one.half_y, other.half_x, other.half_y
+    turn_c, turn_s = abs(c), abs(s)
+    apart = max(
+        abs(x) - a - p * turn_c - q * turn_s,
+        abs(y) - b - p * turn_s - q * turn_c,
+        abs(u) - p - a * turn_c - b * turn_s,
+        abs(v) - q - a * turn_s - b * turn_c,
     )
-    return np.where(apart > 0.0, np.sqrt(np.minimum(here, there)), apart)
+    if apart <= 0.0 or apart >= enough:
+        return apart
+    return math.sqrt(min(_outside(x, y, c, s, p, q, a, b), _outside(-u, -v, c, -s, a, b, p, q)))
 
 
-def _outside(x, y, c, s, p, q, a, b) -> np.ndarray:
-    """Least squared distance of the corners of a rectangle ``(p, q)`` at ``(x, y)``, turned by c, s, from ``(a, b)``."""
-    px, py, qx, qy = p * c, p * s, -q * s, q * c
-    least = None
-    for i, j in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
-        dx = np.maximum(abs(x + i * px + j * qx) - a, 0.0)
-        dy = np.maximum(abs(y + i * py + j * qy) - b, 0.0)
-        squared = dx * dx + dy * dy
-        least = squared if least is None else np.minimum(least, squared)
-    assert least is not None
+def _outside(x: float, y: float, c: float, s: float, p: float, q: float, a: float, b: float) -> float:
+    """Least squared distance from the corners of a rectangle ``(p, q)``, turned by c and s, to the one ``(a, b)``."""
+    least = math.inf
+    for i, j in ((p, q), (p, -q), (-p, q), (-p, -q)):
+        dx = max(0.0, abs(x + i * c - j * s) - a)
+        dy = max(0.0, abs(y + i * s + j * c) - b)
+        least = min(least, dx * dx + dy * dy)
     return least
-
-
-def _turned(points: np.ndarray, yaw: np.ndarray) -> np.ndarray:
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    return np.column_stack([points[:, 0] * cos - points[:, 1] * sin, points[:, 0] * sin + points[:, 1] * cos])

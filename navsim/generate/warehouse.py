@@ -78,7 +78,7 @@ def layout(generator: np.random.Generator, size: tuple[float, float], density: f
             number += 1
             rack = _rack(generator, f"rack {number}", last - first + 1, bay, depth)
             middle = west + 0.5 * (first + last + 1) * bay
-            at = np.array([middle, place] if along == 0 else [-place, middle])
+            at = (middle, place) if along == 0 else (-place, middle)
             placer.add_fixed(rack, at, 90.0 * along + (180.0 if turned else 0.0))
     if not furnish(placer, pallets, square=True, joins=0.4):
         return Shortfall(placer.parts)
