@@ -84,7 +84,8 @@ def _neighbours(low: np.ndarray, high: np.ndarray) -> Iterator[tuple[np.ndarray,
     """Every two boxes that overlap or touch, the earlier one first, in chunks of two index arrays."""
     if len(low) <= COMPARED_WITH_ALL:
         overlap = (low[:, None] <= high) & (high[:, None] >= low)
-        yield np.nonzero(np.triu(overlap.all(axis=2), 1))
+        first, second = np.nonzero(np.triu(overlap.all(axis=2), 1))
+        yield first, second
         return
     for first, second in overlapping_boxes(low, high, low, high):
         yield first[first < second], second[first < second]

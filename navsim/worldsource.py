@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import difflib
 import os
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -168,13 +169,25 @@ def _worlds_of(source: WorldSource, default_seed: int) -> list[World]:
         raise _error(str(source), str(error)) from None
 
 
-def _read_size(text: str, value: str) -> tuple[float, float]:
-    sides = value.lower().replace("×", "x").split("x")
+def parse_size(text: str) -> tuple[float, float]:
+    """The size of a room, metres, from ``7x6``, ``7,6`` or, for a square one, ``7``.
+
+    Raises:
+        ValueError: for other text.
+    """
+    sides = re.split("[x×,]", text.lower())
     try:
         x, y = (float(side) for side in (sides * 2 if len(sides) == 1 else sides))
     except ValueError:
-        raise _error(text, f'size must be two lengths in metres, such as 7x7; got "{value}"') from None
+        raise ValueError(f'size must be two lengths in metres, such as 7x6; got "{text}"') from None
     return x, y
+
+
+def _read_size(text: str, value: str) -> tuple[float, float]:
+    try:
+        return parse_size(value)
+    except ValueError as error:
+        raise _error(text, str(error)) from None
 
 
 def _read_density(text: str, value: str) -> float:
@@ -215,6 +228,7 @@ __all__ = [
     "check_sources",
     "have_rooms_in_common",
     "is_generated",
+    "parse_size",
     "parse_source",
     "short_name",
     "world_from",

@@ -6,6 +6,7 @@ A kind's module decides where things stand; :mod:`navsim.generate.rooms` finds s
 from navsim.generate.layout import ImpossibleError
 from navsim.generate.placing import PASSAGE
 from navsim.generate.rooms import KINDS, LARGEST_DENSITY, RoomSettings, generate_world, generate_worlds
+from navsim.generate.writing import room_text, write_rooms
 
 __all__ = [
     "KINDS",
@@ -15,4 +16,6 @@ __all__ = [
     "RoomSettings",
     "generate_world",
     "generate_worlds",
+    "room_text",
+    "write_rooms",
 ]

@@ -173,7 +173,7 @@ def _walls(
             middle = 0.5 * (low + high)
             pieces = [(low, middle - 0.5 * doors[edge]), (middle + 0.5 * doors[edge], high)]
         spans.setdefault((axis, line), []).extend(pieces)
-    parts = []
+    parts: list[Part] = []
     for (axis, line), pieces in sorted(spans.items()):
         for low, high in _merged(pieces):
             along, across = 0.5 * (low + high) - 0.5 * size[1 - axis], line * float(pitch[axis]) - 0.5 * size[axis]

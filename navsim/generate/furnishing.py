@@ -16,9 +16,7 @@ Catalogue = Sequence[tuple[float, Maker]]
 """Weights and makers."""
 
 
-def choose(
-    generator: np.random.Generator, catalogue: Catalogue, area: float, size_factor: float = 1.0
-) -> list[Piece]:
+def choose(generator: np.random.Generator, catalogue: Catalogue, area: float, size_factor: float = 1.0) -> list[Piece]:
     """Pieces that cover ``area``, m²: drawn until they cover it, then all shrunk alike to cover no more."""
     makers = [maker for _, maker in catalogue]
     weights = np.cumsum([weight for weight, _ in catalogue])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from navsim.generate.furnishing import choose, furnish, size_factor
@@ -94,9 +92,7 @@ class _Plan:
             self._walls += 1
             at = (place, middle) if axis == 0 else (middle, place)
             yaw_deg = 90.0 if axis == 0 else 0.0
-            self._placer.add_wall(
-                Part(f"partition {self._walls}", at, 2.0, size=(length, _THICKNESS), yaw_deg=yaw_deg)
-            )
+            self._placer.add_wall(Part(f"partition {self._walls}", at, 2.0, size=(length, _THICKNESS), yaw_deg=yaw_deg))
             self.area += length * _THICKNESS
         middle = begin + 0.5 * width
         centre = (place, middle) if axis == 0 else (middle, place)
@@ -105,7 +101,7 @@ class _Plan:
 
 
 def _desk(generator: np.random.Generator, factor: float) -> Piece:
-    """A desk with a swivel chair in front: a star foot on the floor, a column, and a seat that the robot passes under."""
+    """A desk with a swivel chair in front: a foot on the floor, a column, and a seat that the robot passes under."""
     width, depth = generator.uniform(1.1, 1.5) * factor, generator.uniform(0.6, 0.75) * factor
     desk = table("desk", (width, depth))
     foot, seat = 0.27, 0.22

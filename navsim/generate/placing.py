@@ -46,7 +46,14 @@ class Rectangle(NamedTuple):
     def of(cls, at: Sequence[float], half: Sequence[float], yaw: float) -> Rectangle:
         """The rectangle around ``at`` with half the extents ``half``."""
         return cls(
-            float(at[0]), float(at[1]), half[0], half[1], yaw, math.cos(yaw), math.sin(yaw), math.hypot(half[0], half[1])
+            float(at[0]),
+            float(at[1]),
+            half[0],
+            half[1],
+            yaw,
+            math.cos(yaw),
+            math.sin(yaw),
+            math.hypot(half[0], half[1]),
         )
 
     def at(self, along: float, across: float) -> tuple[float, float]:

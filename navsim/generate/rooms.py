@@ -7,6 +7,7 @@ import math
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -34,7 +35,9 @@ KINDS = tuple(_GENERATORS)
 """The kinds of rooms that can be generated."""
 
 STARTS, GOALS = 5, 10
-"""Places listed in a generated room, or fewer in a small one."""
+"""Places listed in a generated room, or fewer in a small or dense one."""
+FEWEST_STARTS, FEWEST_GOALS = 2, 3
+"""Places that a room must have space for."""
 SMALLEST_SIZE, LARGEST_SIZE = 2.0, 60.0
 """Metres: the sides of a room."""
 LARGEST_DENSITY = 0.6
@@ -138,6 +141,10 @@ class RoomSettings:
             raise ValueError(f"seed must be a whole number, at least 0; got {self.seed!r}")
         object.__setattr__(self, "size", (float(self.size[0]), float(self.size[1])))
 
+    def name(self, index: int) -> str:
+        """What room number ``index``, from 0 up, is called."""
+        return f"{self.kind}-{index + 1:04d}"
+
     def room(self, index: int = 0) -> World:
         """Room number ``index``, from 0 up."""
         if index < 0:
@@ -148,7 +155,7 @@ class RoomSettings:
         for _ in range(_ATTEMPTS):
             made = _GENERATORS[self.kind](generator, self.size, self.density)
             if isinstance(made, Layout):
-                world = _checked(made, generator, self.size, f"{self.kind}-{index + 1:04d}")
+                world = _checked(made, generator, self.size, self.name(index))
                 if world is not None:
                     return world
             most = max(most, made.parts, key=_area)
@@ -169,13 +176,13 @@ def _checked(layout: Layout, generator: np.random.Generator, size: tuple[float, 
     """The layout as a world with starts and goals; None where passages do not connect them."""
     obstacles = tuple(_obstacle(part) for part in layout.parts)
     walls = Walls(**layout.walls) if layout.walls else Walls()
-    room = {"format": FORMAT, "name": name, "size": size, "walls": walls, "obstacles": obstacles}
+    room: dict[str, Any] = {"format": FORMAT, "name": name, "size": size, "walls": walls, "obstacles": obstacles}
     bare = World.model_construct(**room, starts="random", goals="random")  # not checked yet: it has no places
     # A disc as wide as a passage must find its way around all that the robot hits or sees too near.
     space = FreeSpace(bare, PASSAGE / 2, max(TURTLEBOT2.height, SEEN_BELOW))
     places = _connected_places(space, generator, size)
     starts, goals = _spread(places, generator)
-    if not len(starts) or not len(goals):
+    if len(starts) < FEWEST_STARTS or len(goals) < FEWEST_GOALS:
         return None
     return World.model_validate({**room, "starts": starts.tolist(), "goals": goals.tolist()})
 
@@ -185,9 +192,7 @@ def _obstacle(part: Part) -> Obstacle:
     return Box(**settings) if kind == "box" else Cylinder(**settings)
 
 
-def _connected_places(
-    space: FreeSpace, generator: np.random.Generator, size: tuple[float, float]
-) -> np.ndarray:
+def _connected_places(space: FreeSpace, generator: np.random.Generator, size: tuple[float, float]) -> np.ndarray:
     """``(K, 2)`` places with room for a passage, all connected, metres; none where much of the floor is cut off."""
     count = math.ceil(_PLACES_EACH_SQUARE_METRE * size[0] * size[1])
     points = np.round(generator.uniform(-space.half_extents, space.half_extents, (count, 2)), 2)
