@@ -1,13 +1,16 @@
 """A lightweight 2.5D simulator of mobile-robot navigation from depth images."""
 
 from navsim.camera import DepthCamera
+from navsim.difficulty import difficulty
 from navsim.errors import WorldError
+from navsim.generate import generate_world, generate_worlds
 from navsim.raycast import render_depth
 from navsim.robot import ACTIONS, NUM_ACTIONS, TURTLEBOT2, Robot
 from navsim.simulator import Observation, Simulator, Transition
 from navsim.task import Path, Task
 from navsim.world import World
 from navsim.worldfile import SHIPPED_WORLDS_DIRECTORY, load_world, save_world, shipped_worlds
+from navsim.worldsource import worlds_from
 
 __all__ = [
     "ACTIONS",
@@ -23,8 +26,12 @@ __all__ = [
     "Transition",
     "World",
     "WorldError",
+    "difficulty",
+    "generate_world",
+    "generate_worlds",
     "load_world",
     "render_depth",
     "save_world",
     "shipped_worlds",
+    "worlds_from",
 ]

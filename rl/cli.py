@@ -201,6 +201,18 @@ def bench_env(world: str = "complex_train") -> None:
     run(Console(), world=world)
 
 
+@_bench.command(name="generate")
+def bench_generate(rooms: int = 100) -> None:
+    """Rooms a second of each generator, checked and written as text.
+
+    Args:
+        rooms: Rooms to make of each kind.
+    """
+    from navsim.bench_generate import run
+
+    run(Console(), rooms=rooms)
+
+
 @_bench.command(name="learner")
 def bench_learner(num_threads: int = 1) -> None:
     """Updates a second of the learner, beside TorchRL's own loss and the processor's limit.

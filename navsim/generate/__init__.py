@@ -3,6 +3,7 @@
 A kind's module decides where things stand; :mod:`navsim.generate.rooms` finds starts and goals and checks the passages.
 """
 
+from navsim.generate.density import floor_covered
 from navsim.generate.layout import ImpossibleError
 from navsim.generate.placing import PASSAGE
 from navsim.generate.rooms import KINDS, LARGEST_DENSITY, RoomSettings, generate_world, generate_worlds
@@ -14,6 +15,7 @@ __all__ = [
     "PASSAGE",
     "ImpossibleError",
     "RoomSettings",
+    "floor_covered",
     "generate_world",
     "generate_worlds",
     "room_text",
