@@ -79,7 +79,7 @@ def _table(worlds: Sequence[World], difficulties: Sequence[float], solved: Seque
     table = Table(
         box=SIMPLE_HEAD,
         padding=(0, 0, 0, 1),
-        caption="difficulty: share of paths on which a reactive robot should fail",
+        caption="difficulty: on how many paths a reactive robot should fail",
     )
     table.add_column("room", style="bold", no_wrap=True)
     for heading in ("obstacles", "floor covered %", "paths", "difficulty", *(["solved"] if solved else [])):

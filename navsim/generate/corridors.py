@@ -176,6 +176,7 @@ def _walls(
     parts: list[Part] = []
     for (axis, line), pieces in sorted(spans.items()):
         for low, high in _merged(pieces):
+            low, high = max(low, 0.001), min(high, size[1 - axis] - 0.001)  # rounded to 1 mm, none sticks out
             along, across = 0.5 * (low + high) - 0.5 * size[1 - axis], line * float(pitch[axis]) - 0.5 * size[axis]
             at = (across, along) if axis == 0 else (along, across)
             extent = (t, high - low) if axis == 0 else (high - low, t)

@@ -88,7 +88,7 @@ class _Plan:
         begin = float(self._generator.uniform(low + 0.2, high - 0.2 - width))
         self._doors.append((axis, place, begin, begin + width))
         for start, end in ((low, begin), (begin + width, high)):
-            middle, length = 0.5 * (start + end), end - start
+            middle, length = 0.5 * (start + end), end - start - 0.002  # rounded to 1 mm, none sticks out
             self._walls += 1
             at = (place, middle) if axis == 0 else (middle, place)
             yaw_deg = 90.0 if axis == 0 else 0.0
@@ -111,7 +111,7 @@ def _desk(generator: np.random.Generator, factor: float) -> Piece:
     parts = [part.moved((0.0, (depth - whole) / 2), 0.0) for part in desk.parts]
     parts += [
         Part("desk chair foot", chair, 0.08, radius=foot),
-        Part("desk chair column", chair, 0.45, radius=0.04, is_covered=True),
+        Part("desk chair column", chair, 0.37, 0.08, radius=0.04, is_covered=True),
         Part("desk chair seat", chair, 0.07, 0.45, radius=seat, is_covered=True),
     ]
     return Piece(tuple(parts), (width / 2, whole / 2), at_walls=0.85)

@@ -17,6 +17,7 @@ from navsim.generate.layout import ImpossibleError, Layout, Shortfall
 from navsim.generate.pieces import Part
 from navsim.generate.placing import PASSAGE
 from navsim.planner import FreeSpace
+from navsim.raycast import Scene, nearest_depth
 from navsim.robot import TURTLEBOT2
 from navsim.task import Task
 from navsim.world import FORMAT, Box, Cylinder, Obstacle, Walls, World
@@ -43,14 +44,17 @@ SMALLEST_SIZE, LARGEST_SIZE = 2.0, 60.0
 LARGEST_DENSITY = 0.6
 """Share of the floor beyond which no arrangement leaves passages."""
 
-_ATTEMPTS = 60  # layouts before settings are called impossible
+_ATTEMPTS = 40  # layouts before settings are called impossible
 _PLACES_EACH_SQUARE_METRE = 5  # random ones that starts and goals are chosen from
 _CONNECTED = 0.9  # share of the places with room for a passage that must be connected with each other
+_SPARE_STARTS = 2  # chosen beyond those, as some have no free view
 _STARTS_APART = 1.0  # metres
 _GOALS_APART = 0.6  # metres
 _START_TO_GOAL = 2.0 * Task.goal_radius + 0.2  # metres
 
-SEEN_BELOW = DepthCamera().mount_z + Task.collision_depth * float(-DepthCamera().row_slopes[-1])
+_CAMERA = DepthCamera()
+_YAWS = np.deg2rad(np.arange(-150.0, 181.0, 30.0))  # in which starts look around
+SEEN_BELOW = _CAMERA.mount_z + Task.collision_depth * float(np.abs(_CAMERA.row_slopes).max())
 """Height, metres, up to which the camera sees things as near as the depth rule allows: what hangs higher never collides
 by that rule."""
 
@@ -181,7 +185,7 @@ def _checked(layout: Layout, generator: np.random.Generator, size: tuple[float, 
     # A disc as wide as a passage must find its way around all that the robot hits or sees too near.
     space = FreeSpace(bare, PASSAGE / 2, max(TURTLEBOT2.height, SEEN_BELOW))
     places = _connected_places(space, generator, size)
-    starts, goals = _spread(places, generator)
+    starts, goals = _spread(places, generator, bare)
     if len(starts) < FEWEST_STARTS or len(goals) < FEWEST_GOALS:
         return None
     return World.model_validate({**room, "starts": starts.tolist(), "goals": goals.tolist()})
@@ -205,26 +209,42 @@ def _connected_places(space: FreeSpace, generator: np.random.Generator, size: tu
     return points[is_connected] if is_connected.mean() >= _CONNECTED else points[:0]
 
 
-def _spread(places: np.ndarray, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def _spread(places: np.ndarray, generator: np.random.Generator, world: World) -> tuple[np.ndarray, np.ndarray]:
     """Starts ``(S, 2)`` and goals ``(G, 2)`` among ``places``, each as far from those before it as can be."""
     if not len(places):
         return places, places
-    starts = places[generator.integers(len(places))][None]
-    while len(starts) < STARTS:
-        distance = _nearest(places, starts)
-        if distance.max() < _STARTS_APART:
-            break
-        starts = np.vstack([starts, places[distance.argmax()]])
+    first = places[generator.integers(len(places))][None]
+    starts = _scattered(places, first, STARTS + _SPARE_STARTS, _STARTS_APART)
+    starts = starts[_have_a_view(world, starts)][:STARTS]
+    if not len(starts):
+        return starts, starts
     places = places[_nearest(places, starts) >= _START_TO_GOAL]
-    goals = places[:0]
-    while len(goals) < GOALS and len(places):
-        distance = _nearest(places, np.vstack([starts, goals]))
-        if len(goals) and _nearest(places, goals)[distance.argmax()] < _GOALS_APART:
-            break
-        goals = np.vstack([goals, places[distance.argmax()]])
-    return starts, goals
+    return starts, _scattered(places, starts, len(starts) + GOALS, _GOALS_APART)[len(starts) :]
+
+
+def _scattered(places: np.ndarray, chosen: np.ndarray, count: int, apart: float) -> np.ndarray:
+    """``chosen`` ``(C, 2)`` and further ``places``, each as far from those before it as can be, up to ``count``.
+
+    Fewer where none is left that is ``apart``, metres, from all of them.
+    """
+    distance = _nearest(places, chosen)
+    while len(chosen) < count and len(places) and distance.max() >= apart:
+        chosen = np.vstack([chosen, places[distance.argmax()]])
+        distance = np.minimum(distance, _nearest(places, chosen[-1:]))
+    return chosen
+
+
+def _have_a_view(world: World, starts: np.ndarray) -> np.ndarray:
+    """Whether the camera sees nothing within the view that a start needs, in some direction: ``(S,)`` bool."""
+    count = len(_YAWS)
+    poses = np.column_stack([np.repeat(starts, count, axis=0), np.tile(_YAWS, len(starts))])
+    view = Task.start_view
+    depth = nearest_depth(Scene([world]), np.zeros(len(poses), dtype=np.intp), poses, _CAMERA, within=view)
+    is_free: np.ndarray = depth.reshape(-1, count) >= view
+    return np.any(is_free, axis=1)
 
 
 def _nearest(points: np.ndarray, others: np.ndarray) -> np.ndarray:
     """``(K,)`` metres from each of ``points`` to the nearest of ``others``."""
-    return np.hypot(*(points[:, None] - others).transpose(2, 0, 1)).min(axis=1)
+    offset = points[:, None] - others
+    return np.hypot(offset[..., 0], offset[..., 1]).min(axis=1)

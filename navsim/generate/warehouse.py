@@ -48,8 +48,10 @@ def layout(generator: np.random.Generator, size: tuple[float, float], density: f
     rack_area = area - sum(pallet.area for pallet in pallets)
 
     aisles = generator.uniform(PASSAGE + 0.05, PASSAGE + 0.4, 2)
+    at_wall = None  # the end where rows begin at the wall
     if generator.random() < 0.4 and length > 5.0:
-        aisles[int(generator.integers(2))] = 0.0  # rows begin at the wall
+        at_wall = int(generator.integers(2))
+        aisles[at_wall] = SLACK
     usable = length - aisles.sum()
     most = math.floor(usable / _BAY[0])
     bays = int(generator.integers(max(1, math.ceil(usable / _BAY[1])), most + 1))
@@ -68,9 +70,9 @@ def layout(generator: np.random.Generator, size: tuple[float, float], density: f
 
     placer = Placer(generator, size)
     taken = np.sort(generator.permutation(len(places) * bays)[:count])
-    west = -0.5 * length + aisles[0] + 0.5 * (usable - bays * bay) * (aisles > 0.0).all()
-    if aisles[1] == 0.0:
-        west = 0.5 * length - bays * bay
+    west = -0.5 * length + aisles[0] + 0.5 * (usable - bays * bay) * (at_wall is None)
+    if at_wall == 1:
+        west = 0.5 * length - SLACK - bays * bay
     number = 0
     for row, (place, turned) in enumerate(places):
         filled = [int(bay_) for bay_ in taken - row * bays if 0 <= bay_ < bays]
