@@ -216,10 +216,14 @@ def _spread(places: np.ndarray, generator: np.random.Generator, world: World) ->
     first = places[generator.integers(len(places))][None]
     starts = _scattered(places, first, STARTS + _SPARE_STARTS, _STARTS_APART)
     starts = starts[_have_a_view(world, starts)][:STARTS]
-    if not len(starts):
-        return starts, starts
-    places = places[_nearest(places, starts) >= _START_TO_GOAL]
-    return starts, _scattered(places, starts, len(starts) + GOALS, _GOALS_APART)[len(starts) :]
+    goals = places[:0]
+    while len(starts):
+        far = places[_nearest(places, starts) >= _START_TO_GOAL]
+        goals = _scattered(far, starts, len(starts) + GOALS, _GOALS_APART)[len(starts) :]
+        if len(goals) >= FEWEST_GOALS:
+            break
+        starts = starts[:-1]  # in a small room they leave no place for goals
+    return starts, goals
 
 
 def _scattered(places: np.ndarray, chosen: np.ndarray, count: int, apart: float) -> np.ndarray:
