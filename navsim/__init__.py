@@ -1,7 +1,9 @@
 """A lightweight 2.5D simulator of mobile-robot navigation from depth images."""
 
 from navsim.camera import DepthCamera
+from navsim.difficulty import difficulty
 from navsim.errors import WorldError
+from navsim.generate import generate_world, generate_worlds
 from navsim.randomization import Randomization
 from navsim.raycast import render_depth
 from navsim.robot import ACTIONS, NUM_ACTIONS, TURTLEBOT2, Robot
@@ -21,6 +23,7 @@ from navsim.world import (
     World,
 )
 from navsim.worldfile import SHIPPED_WORLDS_DIRECTORY, load_world, save_world, shipped_worlds
+from navsim.worldsource import worlds_from
 
 __all__ = [
     "ACTIONS",
@@ -48,8 +51,12 @@ __all__ = [
     "Walls",
     "World",
     "WorldError",
+    "difficulty",
+    "generate_world",
+    "generate_worlds",
     "load_world",
     "render_depth",
     "save_world",
     "shipped_worlds",
+    "worlds_from",
 ]

@@ -19,6 +19,8 @@ from navsim.footprints import Footprints, overlapping_boxes
 
 TOLERANCE = 1e-9
 """Metres: a gap that is this much too narrow is wide enough."""
+COMPARED_WITH_ALL = 128
+"""Footprints up to which every two are compared at once: looking for neighbours first would take longer."""
 CROSSINGS_A_CHUNK = 1_000_000
 """Pairs of a ray and a link looked at in one go; it bounds the memory in use."""
 
@@ -131,8 +133,7 @@ def _links(footprints: Footprints, robot_radius: float) -> tuple[np.ndarray, np.
     low, high = footprints.low - robot_radius, footprints.high + robot_radius
     grown = footprints.radius + robot_radius
     links = [(np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp), np.empty((0, 2)))]
-    for first, second in overlapping_boxes(low, high, low, high):
-        first, second = first[first < second], second[first < second]
+    for first, second in _neighbours(low, high):
         on_first, on_second = _nearest_points(footprints, first, second)
         distance = np.linalg.norm(on_second - on_first, axis=1)
         share = grown[first] / (grown[first] + grown[second])
@@ -141,6 +142,17 @@ def _links(footprints: Footprints, robot_radius: float) -> tuple[np.ndarray, np.
         links.append((first[is_close], second[is_close], knee[is_close]))
     first, second, knee = (np.concatenate(parts) for parts in zip(*links, strict=True))
     return first, second, knee
+
+
+def _neighbours(low: np.ndarray, high: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Every two boxes that overlap or touch, the earlier one first, in chunks of two index arrays."""
+    if len(low) <= COMPARED_WITH_ALL:
+        overlap = (low[:, None] <= high) & (high[:, None] >= low)
+        first, second = np.nonzero(np.triu(overlap.all(axis=2), 1))
+        yield first, second
+        return
+    for first, second in overlapping_boxes(low, high, low, high):
+        yield first[first < second], second[first < second]
 
 
 def _nearest_points(footprints: Footprints, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

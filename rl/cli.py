@@ -118,19 +118,21 @@ def train(*arguments: str) -> None:
 @_navsim.command
 def evaluate(
     run: Positional[str],
-    world: Annotated[str, arg(metavar="WORLD")],
+    world: Annotated[tuple[str, ...], arg(metavar="WORLD [WORLD ...]")],
     json: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(optional)")] = None,
     seed: int = 0,
-    num_paths: Annotated[int | None, arg(help_behavior_hint="(default: all, or 100 drawn ones)")] = None,
+    num_paths: Annotated[int | None, arg(help_behavior_hint="(default: all, up to 1000 in several worlds)")] = None,
 ) -> None:
-    """Drive all paths of a world with a trained policy or a baseline, and print how that went.
+    """Drive the paths of a world, or of several, with a trained policy or a baseline, and print how that went.
 
     Args:
         run: Directory of a run, pretrained:NAME, or one of the baselines random, straight, reactive, oracle.
-        world: World file, or name of a shipped world.
+        world: World files, names of shipped worlds, or generated rooms such as
+            generate:clutter,size=7x7,density=0.11,seed=1,count=200 (see "navsim world generate --help").
         json: File to write every path and all the numbers to.
-        seed: Seed of whatever the world leaves open: yaws of starts, starts, goals.
-        num_paths: Paths to drive: the first that the world lists, or this many if it leaves starts or goals open.
+        seed: Seed of whatever the worlds leave open: yaws of starts, starts, goals, which paths of several worlds.
+        num_paths: Paths to drive: the first that the world lists, or this many if it leaves starts or goals open; of
+            several worlds this many together, evenly shared out.
     """
     from rl.evaluation import comparison_table
     from rl.evaluation import evaluate as drive
@@ -234,6 +236,18 @@ def bench_env(world: str = "complex_train") -> None:
     from rl.bench_env import run
 
     run(Console(), world=world)
+
+
+@_bench.command(name="generate")
+def bench_generate(rooms: int = 100) -> None:
+    """Rooms a second of each generator, checked and written as text.
+
+    Args:
+        rooms: Rooms to make of each kind.
+    """
+    from navsim.bench_generate import run
+
+    run(Console(), rooms=rooms)
 
 
 @_bench.command(name="learner")

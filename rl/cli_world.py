@@ -6,7 +6,7 @@ here, because tyro reads them.
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 from tyro.extras import SubcommandApp
@@ -109,3 +109,42 @@ def show(
     with busy("drawing"):
         path = save_plan_view(world, output or Path(f"{world.name}.png"), names=names, pose=pose)
     print(path)
+
+
+@world_commands.command
+def generate(
+    kind: Literal["clutter", "blocks", "corridors", "office", "warehouse", "forest"] = "clutter",
+    size: Annotated[str, arg(metavar="X,Y")] = "7,7",
+    density: Annotated[float | None, arg(help_behavior_hint="(default: the kind's own)")] = None,
+    seed: int = 0,
+    count: int = 1,
+    first: int = 1,
+    out: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="(default: KIND, here)")] = None,
+    overview: bool = True,
+    solve: bool = False,
+) -> None:
+    """Make rooms by chance that a robot can drive through, and write them as world files.
+
+    Every start and goal of a room are joined by a way whose gaps are at least 1 m wide. The same settings make the same
+    files. To train in such rooms no files are needed: navsim train --world generate:clutter,density=0.11,count=200
+
+    Args:
+        kind: What the rooms are like. clutter: furniture, cartons, cans and posts, a third of them lower than the
+            camera or raised off the floor. blocks: large boxes. corridors: a maze of walls and doors. office: rooms
+            with desks, chairs and cupboards. warehouse: rows of shelving, pallets. forest: trunks, logs and bushes.
+        size: Of a room, metres.
+        density: Share of the floor that is covered, seen from above; that of complex_eval is 0.11. Without it, clutter
+            has 24 obstacles in 7 by 7 m.
+        seed: Of all the rooms.
+        count: Rooms to make.
+        first: Number of the first room. Room 17 is the same whether it is made alone or among others.
+        out: Directory to write them to, as KIND-0001.yaml and so on.
+        overview: Draw the first rooms on one sheet, overview.png.
+        solve: Have the planning oracle drive every path, and say where it finds no way (seconds for each room).
+    """
+    from navsim.generate import RoomSettings
+    from navsim.worldsource import parse_size
+    from rl.generating import generate_files
+
+    settings = RoomSettings(kind, parse_size(size), density, seed)
+    generate_files(settings, out or Path(kind), count=count, first=first, overview=overview, solve=solve)

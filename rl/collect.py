@@ -12,7 +12,7 @@ from torchrl.modules import EGreedyModule
 
 from navsim.rearrange import rearrange
 from navsim.world import World
-from navsim.worldfile import load_world
+from navsim.worldsource import TRAINING_SEED, is_generated, worlds_from
 from rl.config import TrainConfig
 from rl.env import NavEnv
 
@@ -42,18 +42,20 @@ def make_env(config: TrainConfig, *, seed: int | None = None) -> NavEnv:
 def training_worlds(config: TrainConfig) -> list[World]:
     """The worlds to train in.
 
-    With ``random_paths``, listed starts and goals are replaced by drawn ones; with ``rearrangements``, each world is
-    followed by so many that hold its furniture in other places, the same for the same seed.
+    With ``random_paths``, listed starts and goals are replaced by drawn ones; with ``rearrangements``, the world of
+    each file is followed by so many that hold its furniture in other places, the same for the same seed. Generated
+    rooms whose source names no seed are those of ``TRAINING_SEED`` and the run's seed together.
     """
-    worlds = [load_world(path) for path in config.world]
-    if config.random_paths:
-        worlds = [world.model_copy(update={"starts": "random", "goals": "random"}) for world in worlds]
-    generators = np.random.default_rng(config.seed).spawn(len(worlds))
-    return [
-        room
-        for world, generator in zip(worlds, generators, strict=True)
-        for room in (world, *rearrange(world, config.rearrangements, generator))
-    ]
+    generators = np.random.default_rng(config.seed).spawn(len(config.world))
+    rooms: list[World] = []
+    for source, generator in zip(config.world, generators, strict=True):
+        worlds = worlds_from(source, default_seed=TRAINING_SEED + config.seed)
+        if config.random_paths:
+            worlds = [world.model_copy(update={"starts": "random", "goals": "random"}) for world in worlds]
+        rooms += worlds
+        if not is_generated(source):
+            rooms += rearrange(worlds[0], config.rearrangements, generator)
+    return rooms
 
 
 def explorer(actor: TensorDictModuleBase, env: NavEnv, config: TrainConfig) -> TensorDictSequential:

@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 from navsim.camera import DepthCamera
+from navsim.errors import WorldError
 from navsim.randomization import Randomization
 from navsim.robot import Robot
 from navsim.sensor import SensorModel
 from navsim.task import Task
+from navsim.worldsource import check_sources, is_generated, short_name
 
 Model = Literal["I", "S"]
 
@@ -31,9 +33,10 @@ class Experiment:
     model: Model = "I"
     """How the network gets the heading: "I" as a fifth image plane, "S" as a scalar beside the image's features."""
     world: tuple[str, ...] = ("complex_train",)
-    """World files to train in, or names of shipped worlds; with several, each episode draws one."""
+    """World files to train in, names of shipped worlds, or generated rooms such as
+    "generate:clutter,density=0.11,count=200"; with several worlds, each episode draws one."""
     eval_world: str = "complex_eval"
-    """World file, or name of a shipped world, that evaluations use. It is never trained in."""
+    """World file, name of a shipped world, or generated rooms, that evaluations use. It is never trained in."""
     total_steps: int = 200_000
     """Environment steps (transitions) to collect in all; one is 0.2 s of one robot."""
     seed: int = 0
@@ -51,7 +54,8 @@ class Collection:
     random_paths: bool = True
     """Whether training draws starts and goals anywhere in the room, not only where the world file lists them."""
     rearrangements: int = 100
-    """Rooms to train in beside each world file: its furniture in so many random arrangements."""
+    """Rooms to train in beside each world file: its furniture in so many random arrangements. Generated rooms have
+    none: --world says how many there are."""
     steps_per_batch: int = 64
     """Transitions collected between two visits to the learner, all robots together."""
     steps_per_update: float = 8.0
@@ -170,9 +174,14 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
             yield f"--seed must not be negative; got {self.seed}"
         if not self.world:
             yield "--world needs at least one world file or name"
+        for source in (*self.world, self.eval_world):
+            try:
+                check_sources(source)
+            except WorldError as error:
+                yield str(error)
         if self.rearrangements < 0:
             yield f"--rearrangements must not be negative; got {self.rearrangements}"
-        if self.rearrangements and not self.random_paths:
+        if self.rearrangements and not self.random_paths and not all(map(is_generated, self.world)):
             yield (
                 f"--rearrangements ({self.rearrangements}) needs --random-paths: listed starts and goals do not fit "
                 "rooms whose furniture was moved; set it to 0 to train on the listed ones"
@@ -222,7 +231,7 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
         """Where the run's files go."""
         if self.out is not None:
             return self.out
-        return Path("runs") / f"{self.preset}-{self.model}-{'+'.join(Path(w).stem for w in self.world)}-seed{self.seed}"
+        return Path("runs") / f"{self.preset}-{self.model}-{'+'.join(map(short_name, self.world))}-seed{self.seed}"
 
     def to_dict(self) -> dict[str, Any]:
         """The settings as plain values, for JSON."""

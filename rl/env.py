@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 
 import numpy as np
@@ -18,8 +17,7 @@ from navsim.robot import NUM_ACTIONS, TURTLEBOT2, Robot
 from navsim.sensor import SensorModel
 from navsim.simulator import Observation, Simulator
 from navsim.task import Task
-from navsim.world import World
-from navsim.worldfile import load_world
+from navsim.worldsource import TRAINING_SEED, WorldSource, worlds_from
 
 NUM_FRAMES = 4
 """Depth images in the stack that a policy sees."""
@@ -47,8 +45,9 @@ class NavEnv(EnvBase):
     Finished robots are reset one by one through ``"_reset"``, as every TorchRL collector does.
 
     Args:
-        world: a world, the path of a world file (or the name of a shipped one), or a sequence of either, from which
-            every episode draws its world.
+        world: a world, the path of a world file (or the name of a shipped one), or generated rooms such as
+            ``"generate:clutter,count=200"`` (see ``navsim.worldsource``); or a sequence of these. With several worlds,
+            every episode draws its own.
         num_envs: number of robots, N.
         camera: image size and everything else about the camera.
         task: rewards, ends and time limit.
@@ -71,7 +70,7 @@ class NavEnv(EnvBase):
 
     def __init__(
         self,
-        world: World | str | os.PathLike[str] | Sequence[World | str | os.PathLike[str]],
+        world: WorldSource | Sequence[WorldSource],
         num_envs: int = 1,
         *,
         camera: DepthCamera | None = None,
@@ -83,8 +82,7 @@ class NavEnv(EnvBase):
         device: torch.device | str = "cpu",
     ) -> None:
         super().__init__(device=device, batch_size=torch.Size([num_envs]))
-        listed = [world] if isinstance(world, World | str | os.PathLike) else list(world)
-        worlds = [entry if isinstance(entry, World) else load_world(entry) for entry in listed]
+        worlds = worlds_from(world, default_seed=TRAINING_SEED)
         self.simulator = Simulator(
             worlds,
             num_envs,

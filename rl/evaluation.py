@@ -8,8 +8,8 @@ import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache, partial
 from pathlib import Path as FilePath
 from typing import Any, Literal, Protocol, runtime_checkable
 
@@ -32,7 +32,7 @@ from navsim.sensor import SensorModel
 from navsim.simulator import Observation, Simulator, Transition
 from navsim.task import Path, Task
 from navsim.world import World
-from navsim.worldfile import load_world
+from navsim.worldsource import WorldSource, worlds_from
 from rl.env import NUM_FRAMES
 from rl.run import atomic_write
 
@@ -42,6 +42,9 @@ OUTCOMES: tuple[Outcome, ...] = ("success", "collision", "timeout")
 
 _FORMAT = 1
 _DRAWN_PATHS = 100
+MOST_PATHS = 1000
+"""Of several worlds together, where it is not said how many."""
+_TOGETHER = 100  # paths driven at a time, and the rest of their world's
 _Z_95 = 1.959963984540054  # the normal distribution's 97.5% quantile
 
 
@@ -95,6 +98,8 @@ class PathResult:
     """Of a collision: whether something was seen nearer than the task's ``collision_depth``."""
     phases: tuple[float, ...] = ()
     """Where in their periods, from 0 to 1, the world's moving obstacles were at the start."""
+    world_index: int = 0
+    """In the evaluation's ``worlds``."""
 
     @property
     def steps(self) -> int:
@@ -131,6 +136,7 @@ class PathResult:
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON; positions to 0.1 mm, yaws to 0.0001 rad."""
         return {
+            "world_index": self.world_index,
             "start_index": self.start_index,
             "goal_index": self.goal_index,
             "goal": list(self.goal),
@@ -161,21 +167,37 @@ class PathResult:
             shortest_path_length=values["shortest_path_length"],
             trajectory=np.array(values["trajectory"], dtype=np.float64).reshape(-1, 3),
             actions=np.array(values["actions"], dtype=np.int64),
+            world_index=values.get("world_index", 0),
         )
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """How a policy did on the paths of a world."""
+    """How a policy did on the paths of a world, or of several."""
 
     policy: str
     """The policy's name."""
     world: str
-    """The world's name."""
+    """The world's name; of several, what they are called together."""
     seed: int
     """Of the starts' yaws and of whatever else was drawn."""
     paths: tuple[PathResult, ...]
     """At least one."""
+    worlds: tuple[str, ...] = ()
+    """Names of the worlds that the paths lie in; by default the one of ``world``."""
+
+    def __post_init__(self) -> None:
+        if not self.worlds:
+            object.__setattr__(self, "worlds", (self.world,))
+
+    def by_world(self) -> list[Evaluation]:
+        """One evaluation for each world that has paths in this one, in the order of ``worlds``."""
+        parts = []
+        for index, name in enumerate(self.worlds):
+            paths = tuple(replace(path, world_index=0) for path in self.paths if path.world_index == index)
+            if paths:
+                parts.append(Evaluation(self.policy, name, self.seed, paths))
+        return parts
 
     def count(self, outcome: Outcome) -> int:
         """Paths that ended so."""
@@ -253,6 +275,7 @@ class Evaluation:
             "format": _FORMAT,
             "policy": self.policy,
             "world": self.world,
+            "worlds": list(self.worlds),
             "seed": self.seed,
             "summary": summary,
             "paths": [path.to_dict() for path in self.paths],
@@ -269,7 +292,10 @@ class Evaluation:
             if values["format"] != _FORMAT:
                 raise ValueError(f"its format is {values['format']!r}; this version reads format {_FORMAT}")
             paths = tuple(PathResult.from_dict(path) for path in values["paths"])
-            return cls(policy=values["policy"], world=values["world"], seed=values["seed"], paths=paths)
+            worlds = tuple(values.get("worlds", ()))  # files of earlier versions have one world
+            if not all(0 <= path.world_index < max(1, len(worlds)) for path in paths):
+                raise ValueError(f"a path lies in a world that it does not name among {list(worlds)}")
+            return cls(policy=values["policy"], world=values["world"], seed=values["seed"], paths=paths, worlds=worlds)
         except KeyError as error:
             raise ValueError(f"it has no {error}") from error
         except TypeError as error:
@@ -327,7 +353,7 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
 
 def evaluate(
     policy: Policy,
-    world: World | str | os.PathLike[str],
+    world: WorldSource | Sequence[WorldSource],
     *,
     name: str = "",
     camera: DepthCamera | None = None,
@@ -339,7 +365,7 @@ def evaluate(
     num_paths: int | None = None,
     console: Console | None = None,
 ) -> Evaluation:
-    """Drives every path of a world with a policy, greedily, all paths at once, each in an episode of its own.
+    """Drives the paths of a world or of several with a policy, greedily, many at once, each in an episode of its own.
 
     The seed decides the yaws of starts that leave them open, whatever the policy does, so that policies can be
     compared path by path. What a policy draws (from torch's generator) is seeded as well; the generator is put back
@@ -350,7 +376,8 @@ def evaluate(
             float32 ``(N, 3)`` and ``is_init`` bool ``(N, 1)``, true in an episode's first step, and writes ``action``
             ``(N,)``. What else it writes is there in the next step: its memory, one row a robot. Or a ``Planner``; a
             path for which it has no plan counts as a timeout of no steps.
-        world: a world, or the path or name of a world file.
+        world: a world, the path or name of a world file, or generated rooms such as
+            ``"generate:clutter,count=200,seed=1"`` (see ``navsim.worldsource``); or several of these.
         name: of the policy, for tables; by default the policy's own ``name``, or its class's.
         camera: image size and everything else about the camera.
         task: rewards, ends and time limit.
@@ -358,18 +385,75 @@ def evaluate(
         sensor: noise, lost returns and latency of the images that the policy sees; none by default.
         randomization: what each path draws anew of camera, wheels, sensor and start; nothing by default.
         seed: of all that is drawn.
-        num_paths: how many of the world's paths to drive, the first ones; by default all. A world whose starts or
-            goals are random has as many as wanted, by default 100.
+        num_paths: how many paths to drive. Of one world, the first ones; by default all. Of several, as many in each
+            (one more in the first, where that does not come out even), drawn with ``seed`` from those that the world
+            lists; by default all, up to ``MOST_PATHS`` together. A world whose starts or goals are random has as many
+            as wanted, by default 100.
         console: where a progress bar is shown; nowhere by default.
 
     Raises:
-        navsim.WorldError: for a world file that cannot be used.
+        navsim.WorldError: for a world that cannot be used.
         ValueError: for settings that cannot be used.
     """
-    world = world if isinstance(world, World) else load_world(world)
-    paths = _paths_of(world, num_paths)
+    worlds = worlds_from(world)
+    if not worlds:
+        raise ValueError("an evaluation needs at least one world; got none")
+    label = worlds[0].name if len(worlds) == 1 else _label(world, worlds)
+    paths = _all_paths(worlds, num_paths, seed)
+    drive = partial(
+        _drive_paths,
+        policy,
+        camera=camera,
+        task=task,
+        robot=robot,
+        sensor=sensor,
+        randomization=randomization,
+        seed=seed,
+    )
+    results: list[PathResult] = []
+    with _progress(console, label, len(paths)) as advance:
+        for part in _parts(paths):
+            results += drive(worlds, part, advance=advance)
+    policy_name = name or getattr(policy, "name", "") or type(policy).__name__
+    return Evaluation(policy_name, label, seed, tuple(results), tuple(world.name for world in worlds))
+
+
+def _label(source: WorldSource | Sequence[WorldSource], worlds: Sequence[World]) -> str:
+    listed = [source] if isinstance(source, World | str | os.PathLike) else list(source)
+    names = [entry.name if isinstance(entry, World) else os.fspath(entry) for entry in listed]
+    return ", ".join(names) if len(names) <= 4 else f"{len(worlds)} worlds"
+
+
+def _parts(paths: Sequence[Path]) -> Iterator[list[Path]]:
+    """The paths, some hundred at a time, in few worlds: a step costs by the robots, starting by the worlds."""
+    part: list[Path] = []
+    for path in paths:
+        if len(part) >= _TOGETHER and path.world_index != part[-1].world_index:
+            yield part
+            part = []
+        part.append(path)
+    yield part
+
+
+def _drive_paths(
+    policy: Policy,
+    all_worlds: Sequence[World],
+    paths: Sequence[Path],
+    *,
+    camera: DepthCamera | None,
+    task: Task | None,
+    robot: Robot,
+    sensor: SensorModel | None,
+    randomization: Randomization | None,
+    seed: int,
+    advance: Callable[[int], None],
+) -> list[PathResult]:
+    """Drives paths, ordered by their worlds, all at once."""
+    used = list(dict.fromkeys(path.world_index for path in paths))
+    worlds = [all_worlds[index] for index in used]
+    local = [path._replace(world_index=used.index(path.world_index)) for path in paths]
     simulator = Simulator(
-        world,
+        worlds,
         len(paths),
         camera=camera,
         task=task,
@@ -378,45 +462,95 @@ def evaluate(
         randomization=randomization,
         seed=seed,
     )
-    observation = simulator.reset(paths=paths)
+    observation = simulator.reset(paths=local)
     starts, goals, phases = simulator.poses.copy(), simulator.goals.copy(), simulator.phases.copy()
     state = _first_state(observation)
     driven = np.ones(len(paths), dtype=bool)
-    with _progress(console, world.name, len(paths)) as advance:
-        if isinstance(policy, Planner):
-            plans = []
-            for plan in policy.plan(world, starts, goals, simulator.camera, simulator.task, robot, phases):
+    if isinstance(policy, Planner):
+        plans: list[np.ndarray | None] = []
+        for index, world in enumerate(worlds):
+            own = np.array([path.world_index == index for path in local])
+            own_phases = phases[own, : len(dynamic_obstacles(world))]
+            for plan in policy.plan(
+                world, starts[own], goals[own], simulator.camera, simulator.task, robot, own_phases
+            ):
                 plans.append(plan)
                 advance(1)
-            driven = np.array([plan is not None for plan in plans])
-            state["plan"] = _padded(plans, simulator.task.max_steps)
-            episodes = _drive(_follow_plan, simulator, state, driven, lambda ended: None)
-        else:
-            with torch.random.fork_rng(devices=[]):
-                torch.manual_seed(seed)
-                episodes = _drive(policy, simulator, state, driven, advance)
-    results = (
+        driven = np.array([plan is not None for plan in plans])
+        state["plan"] = _padded(plans, simulator.task.max_steps)
+        episodes = _drive(_follow_plan, simulator, state, driven, lambda ended: None)
+    else:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            episodes = _drive(policy, simulator, state, driven, advance)
+    return [
         PathResult(
             start_index=path.start_index,
             goal_index=path.goal_index,
             goal=_point(goal),
             outcome=episode.outcome,
             reward=episode.reward,
-            shortest_path_length=_shortest(world, _point(start), _point(goal), simulator.task, robot),
+            shortest_path_length=_shortest(
+                all_worlds[path.world_index], _point(start), _point(goal), simulator.task, robot
+            ),
             trajectory=np.array([start, *episode.poses]),
             actions=np.array(episode.actions, dtype=np.int64),
             bumper=episode.bumper,
             too_near=episode.too_near,
-            phases=tuple(own.tolist()),
+            phases=tuple(own[: len(dynamic_obstacles(all_worlds[path.world_index]))].tolist()),
+            world_index=path.world_index,
         )
         for path, start, goal, own, episode in zip(paths, starts, goals, phases, episodes, strict=True)
-    )
-    policy_name = name or getattr(policy, "name", "") or type(policy).__name__
-    return Evaluation(policy=policy_name, world=world.name, seed=seed, paths=tuple(results))
+    ]
 
 
 def _point(place: np.ndarray) -> tuple[float, float]:
     return float(place[0]), float(place[1])
+
+
+def few_paths(worlds: Sequence[World]) -> int | None:
+    """How many paths tell enough while training: all of one world; of several 100, or one in each."""
+    return None if len(worlds) == 1 else max(_DRAWN_PATHS, len(worlds))
+
+
+def _all_paths(worlds: Sequence[World], num_paths: int | None, seed: int) -> list[Path]:
+    """The paths to drive, ordered by their worlds."""
+    if num_paths is not None and num_paths < 1:
+        raise ValueError(f"num_paths must be at least 1; got {num_paths}")
+    if len(worlds) == 1:
+        return _paths_of(worlds[0], num_paths)
+    listed = [len(world.paths) or _DRAWN_PATHS for world in worlds]
+    if num_paths is None:
+        num_paths = min(sum(listed), max(MOST_PATHS, len(worlds)))
+    if num_paths < len(worlds):
+        raise ValueError(f"num_paths ({num_paths}) must be at least 1 in each of the {len(worlds)} worlds")
+    shares = _shared_out(num_paths, [len(world.paths) or num_paths for world in worlds])
+    generators = np.random.default_rng(seed).spawn(len(worlds))
+    paths = []
+    for index, (world, share, generator) in enumerate(zip(worlds, shares, generators, strict=True)):
+        own = _paths_of(world, None if world.paths else share)
+        chosen = np.sort(generator.permutation(len(own))[:share])
+        paths += [own[i]._replace(world_index=index) for i in chosen]
+    return paths
+
+
+def _shared_out(wanted: int, most: Sequence[int]) -> list[int]:
+    """``wanted`` in shares as even as can be, none of them over ``most``; the first ones take what is left over.
+
+    >>> _shared_out(10, [9, 2, 9])
+    [4, 2, 4]
+    """
+    if wanted > sum(most):
+        raise ValueError(f"the {len(most)} worlds have {sum(most)} paths together; num_paths asks for {wanted}")
+    shares = [0] * len(most)
+    while wanted:
+        open_ones = [i for i, share in enumerate(shares) if share < most[i]]
+        each = max(1, wanted // len(open_ones))
+        for i in open_ones:
+            added = min(each, most[i] - shares[i], wanted)
+            shares[i] += added
+            wanted -= added
+    return shares
 
 
 def _paths_of(world: World, num_paths: int | None) -> list[Path]:

@@ -7,9 +7,9 @@ from pathlib import Path
 from rich.console import Console
 from torchrl.modules import QValueActor
 
-from navsim.worldfile import load_world
+from navsim.worldsource import worlds_from
 from rl.baselines import BASELINES, Baseline, make_baseline
-from rl.evaluation import comparison_table, evaluate
+from rl.evaluation import comparison_table, evaluate, few_paths
 from rl.policies import load_policy
 from rl.report import write_report
 from rl.run import Run
@@ -30,20 +30,21 @@ def finish(run: Run, console: Console) -> Path:
         navsim.WorldError: for a world file that cannot be used.
     """
     config = run.config
-    world = load_world(config.eval_world)
+    worlds = worlds_from(config.eval_world)
     policies: dict[str, QValueActor | Baseline] = {f"D3QN-{config.model}": load_policy(run.directory)}
     policies |= {name: make_baseline(name, config.camera) for name in BASELINES}
     evaluations = []
     for name, policy in policies.items():
         result = evaluate(
             policy,
-            world,
+            worlds,
             name=name,
             camera=config.camera,
             task=config.task,
             robot=config.robot,
             sensor=config.sensor,
             seed=config.seed,
+            num_paths=few_paths(worlds),
             console=console,
         )
         result.save(run.directory / "evaluation" / f"{name}.json")

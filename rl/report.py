@@ -22,7 +22,7 @@ from navsim.raycast import render_depth
 from navsim.scan import obstacle_depth
 from navsim.task import heading
 from navsim.world import World
-from navsim.worldfile import load_world
+from navsim.worldsource import TRAINING_SEED, have_rooms_in_common, short_name, worlds_from
 from rl.baselines import BASELINES
 from rl.config import TrainConfig
 from rl.env import NUM_FRAMES
@@ -54,8 +54,7 @@ def write_report(run: Run) -> Path:
     """
     config = run.config
     evaluations = _evaluations(run)
-    world = load_world(config.eval_world)
-    page = _template().render(_contents(run, config, world, evaluations))
+    page = _template().render(_contents(run, config, evaluations))
     path = run.directory / "report.html"
     with atomic_write(path) as file:
         file.write(page)
@@ -77,18 +76,22 @@ def _evaluations(run: Run) -> list[Evaluation]:
     return [evaluations[name] for name in (*own, *BASELINES) if name in evaluations]
 
 
-def _contents(run: Run, config: TrainConfig, world: World, evaluations: Sequence[Evaluation]) -> dict[str, Any]:
+def _contents(run: Run, config: TrainConfig, evaluations: Sequence[Evaluation]) -> dict[str, Any]:
     policy, versions = evaluations[0], _versions(run)
+    # Of several worlds the first one is drawn.
+    world, drawn = worlds_from(config.eval_world)[0], policy.by_world()[0]
     metrics, logged = run.metrics.rows(), run.evaluations.rows()
     low, high = (round(100 * bound) for bound in policy.interval("success"))
-    unseen = config.eval_world not in config.world
-    trained_in = ", ".join(Path(name).stem for name in config.world)
+    unseen = not have_rooms_in_common(config.world, [config.eval_world], TRAINING_SEED + config.seed)
+    trained_in = ", ".join(map(short_name, config.world))
+    several = len(policy.worlds) > 1
     return {
-        "title": f"{run.directory.name}: {policy.success_rate:.0%} of {world.name}",
+        "title": f"{run.directory.name}: {policy.success_rate:.0%} of {policy.world}",
         "run_name": run.directory.name,
-        "headline": f"{policy.policy} reaches {policy.count('success')} of {len(policy.paths)} goals in {world.name}"
-        + (", a room that it has never seen" if unseen else ""),
+        "headline": f"{policy.policy} reaches {policy.count('success')} of {len(policy.paths)} goals in {policy.world}"
+        + (f", {_never_seen(several)}" if unseen else ""),
         "unseen": unseen,
+        "several": several,
         "planned": any(evaluation.policy == "oracle" for evaluation in evaluations),
         "summary": f"Trained in {trained_in} with preset {config.preset}.",
         "facts": [
@@ -98,14 +101,18 @@ def _contents(run: Run, config: TrainConfig, world: World, evaluations: Sequence
         ],
         "rows": [_row(evaluation) for evaluation in evaluations],
         "paths": len(policy.paths),
-        "world": world.name,
+        "world": policy.world,
         "control_period": f"{config.task.control_period:g}",
-        "animation": _animation(run, config, world, policy),
-        "figures": list(_figures(run, config, world, evaluations, metrics, logged)),
+        "animation": _animation(run, config, world, drawn),
+        "figures": list(_figures(run, config, world, drawn, evaluations, metrics, logged)),
         "seed": config.seed,
         "settings": list(_flat(config.to_dict())),
         "versions": list(_flat(versions)),
     }
+
+
+def _never_seen(several: bool) -> str:
+    return "rooms that it has never seen" if several else "a room that it has never seen"
 
 
 def _training_facts(metrics: Sequence[Mapping[str, str]]) -> list[tuple[str, str]]:
@@ -173,23 +180,23 @@ def _figures(
     run: Run,
     config: TrainConfig,
     world: World,
+    drawn: Evaluation,
     evaluations: Sequence[Evaluation],
     metrics: Sequence[Mapping[str, str]],
     logged: Sequence[Mapping[str, str]],
 ) -> Iterator[dict[str, Any]]:
-    policy = evaluations[0]
-    examples = choose_examples(policy)
+    examples = choose_examples(drawn)
     if metrics:
         yield _block(
             "Training",
             (
                 training_curves(metrics, logged),
-                f"Lines: while training, with exploration. Points: evaluations in {world.name}, greedy.",
+                f"Lines: while training, with exploration. Points: evaluations in {evaluations[0].world}, greedy.",
             ),
         )
     yield _block(
         "All paths",
-        (all_paths(world, policy), f"Every path of {policy.policy} in {world.name}, by how it ended."),
+        (all_paths(world, drawn), f"Every path of {drawn.policy} in {world.name}, by how it ended."),
         narrow=True,
     )
     yield _block(

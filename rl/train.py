@@ -19,11 +19,11 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.record.loggers import TensorboardLogger
 
 from navsim.world import World
-from navsim.worldfile import load_world
+from navsim.worldsource import worlds_from
 from rl.collect import explorer, make_collector, make_env
 from rl.config import TrainConfig
 from rl.env import NavEnv
-from rl.evaluation import Evaluation, evaluate
+from rl.evaluation import Evaluation, evaluate, few_paths
 from rl.learner import Learner, number_format
 from rl.memory import keep_freed_memory
 from rl.progress import Clock, TrainingProgress, progress_bar
@@ -56,7 +56,7 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
     random.seed(config.seed)
     if config.autocast == "auto":  # chosen by a stopwatch, so it is written down: a resumed run must not choose again
         config = replace(config, autocast="float32" if number_format("auto") is None else "bfloat16")
-    eval_world = load_world(config.eval_world)
+    eval_worlds = worlds_from(config.eval_world)
     with (console or Console()).status("arranging the rooms to train in"):
         env = make_env(config)
     run = Run.open(config.directory) if resume else Run.create(config)
@@ -126,7 +126,7 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
                 )
             if eval_due(progress.step):
                 bar.update(shown, status="evaluating")
-                logs.evaluation(_evaluate(learner, eval_world, config), learner, progress)
+                logs.evaluation(_evaluate(learner, eval_worlds, config), learner, progress)
                 bar.update(shown, status=status)
             if checkpoint_due(progress.step):
                 run.save_policy("policy_last", learner.actor.state_dict())
@@ -236,15 +236,16 @@ class _Logs:
         self._best = (success_rate, spl)
 
 
-def _evaluate(learner: Learner, world: World, config: TrainConfig) -> Evaluation:
+def _evaluate(learner: Learner, worlds: Sequence[World], config: TrainConfig) -> Evaluation:
     return evaluate(
         learner.actor,
-        world,
+        worlds,
         camera=config.camera,
         task=config.task,
         robot=config.robot,
         sensor=config.sensor,
         seed=config.seed,
+        num_paths=few_paths(worlds),
     )
 
 

@@ -142,6 +142,53 @@ def test_a_report_is_written_anew(finished, capsys):
     assert "</html>" in (finished / "report.html").read_text()
 
 
+def test_rooms_are_generated_listed_and_drawn(tmp_path, capsys):
+    arguments = ["world", "generate", "--kind", "blocks", "--size", "5,4", "--density", "0.08", "--count", "2"]
+    assert main([*arguments, "--seed", "3", "--out", str(tmp_path / "rooms")]) == 0
+    told = capsys.readouterr().out
+    assert "blocks-0001" in told
+    assert "blocks-0002" in told
+    assert "difficulty" in told
+    names = sorted(path.name for path in (tmp_path / "rooms").iterdir())
+    assert names == ["blocks-0001.yaml", "blocks-0002.yaml", "overview.png"]
+    assert (tmp_path / "rooms" / "overview.png").read_bytes()[1:4] == b"PNG"
+    assert main([*arguments, "--seed", "3", "--out", str(tmp_path / "rooms")]) == 2
+    assert "is there already" in capsys.readouterr().err
+    assert main([*arguments[:-2], "--seed", "3", "--first", "2", "--no-overview", "--out", str(tmp_path / "one")]) == 0
+    assert [path.name for path in (tmp_path / "one").iterdir()] == ["blocks-0002.yaml"]
+    same = [(tmp_path / place / "blocks-0002.yaml").read_bytes() for place in ("rooms", "one")]
+    assert same[0] == same[1]
+
+
+def test_the_oracle_checks_generated_rooms_on_request(tmp_path, capsys, monkeypatch):
+    arguments = ["world", "generate", "--kind", "blocks", "--size", "3.4", "--density", "0.05", "--no-overview"]
+    assert main([*arguments, "--solve", "--out", str(tmp_path / "rooms")]) == 0
+    solved, paths = re.search(r"(\d+)/(\d+)", capsys.readouterr().out).groups()
+    assert solved == paths
+    monkeypatch.setattr("rl.baselines.Oracle.plan", lambda self, start, goal: None)
+    assert main([*arguments, "--solve", "--out", str(tmp_path / "more")]) == 2
+    assert "blocks-0001: the oracle found no way from starts[0] to goals[0]" in capsys.readouterr().err
+    assert (tmp_path / "more" / "blocks-0001.yaml").is_file()
+
+
+def test_a_robot_is_trained_in_generated_rooms_and_evaluated_in_others(tmp_path, capsys):
+    directory = tmp_path / "run"
+    worlds = ["--world", "generate:blocks,size=4,density=0.06,count=3", "generate:forest,size=4,count=2"]
+    evaluated = ["--eval-world", "generate:blocks,size=4,density=0.06,count=2"]
+    assert main(["train", *worlds, *evaluated, "--out", str(directory), "--no-report", *SMALL]) == 0
+    assert (directory / "policy.pt").is_file()
+    rows = (directory / "evaluations.csv").read_text().splitlines()
+    assert len(rows) == 3
+    capsys.readouterr()
+    arguments = ["evaluate", str(directory), "--world", evaluated[1], "--num-paths", "4"]
+    assert main([*arguments, "--json", str(tmp_path / "result.json")]) == 0
+    result = json.loads((tmp_path / "result.json").read_text())
+    assert result["worlds"] == ["blocks-0001", "blocks-0002"]
+    assert [path["world_index"] for path in result["paths"]] == [0, 0, 1, 1]
+    assert main(["evaluate", "reactive", "--world", "generate:blocs"]) == 2
+    assert capsys.readouterr().err == 'generate:blocs: "blocs" is not a kind of room; did you mean "blocks"?\n'
+
+
 # Going on with a run
 
 

@@ -12,7 +12,8 @@ from torchrl.collectors import Collector, MultiSyncCollector
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from navsim.camera import DepthCamera
-from rl.collect import explorer, make_collector, make_env
+from navsim.worldsource import worlds_from
+from rl.collect import explorer, make_collector, make_env, training_worlds
 from rl.config import PRESETS
 from rl.env import NavEnv
 from rl.networks import make_q_actor
@@ -83,6 +84,32 @@ def test_training_paths_are_drawn_anywhere_unless_listed_ones_are_asked_for():
 
     assert len(starts(CONFIG)) == 32
     assert len(starts(replace(CONFIG, random_paths=False))) <= 5
+
+
+def test_generated_rooms_are_trained_in_beside_files():
+    config = replace(CONFIG, world=("simple_train", "generate:blocks,density=0.06,count=3"), rearrangements=2)
+    names = [world.name for world in training_worlds(config)]
+    assert names == ["simple_train", "simple_train 1", "simple_train 2", "blocks-0001", "blocks-0002", "blocks-0003"]
+    assert all(world.random_starts for world in training_worlds(config))
+    listed = training_worlds(replace(config, random_paths=False, rearrangements=0))
+    assert listed[1:] == worlds_from("generate:blocks,density=0.06,count=3,seed=1000")
+
+
+def test_rooms_to_train_in_follow_the_seed_and_are_not_those_of_an_evaluation():
+    source = "generate:forest,count=4"
+    config = replace(CONFIG, world=(source,), random_paths=False)
+    obstacles = [repr(world.obstacles) for world in training_worlds(config)]
+    obstacles += [repr(world.obstacles) for world in training_worlds(replace(config, seed=1))]
+    obstacles += [repr(world.obstacles) for world in worlds_from(source)]
+    assert len(set(obstacles)) == 12
+    named = replace(config, world=(f"{source},seed=3",), seed=1)
+    assert training_worlds(named) == worlds_from(f"{source},seed=3")
+
+
+def test_an_environment_takes_generated_rooms():
+    env = NavEnv("generate:clutter,size=5x5,count=3", num_envs=4, camera=CAMERA, seed=0)
+    assert len(env.simulator.worlds) == 3
+    assert env.rollout(5, break_when_any_done=False).shape == (4, 5)
 
 
 def test_it_works_in_processes_of_their_own():

@@ -114,3 +114,15 @@ def test_values_of_another_version_are_refused(values, named):
 )
 def test_a_run_is_kept_apart_from_runs_with_other_settings(settings, directory):
     assert TrainConfig(**settings).directory == Path(directory)
+
+
+@pytest.mark.parametrize("setting", ["world", "eval_world"])
+def test_generated_rooms_asked_for_wrongly_are_a_problem_of_the_settings(setting):
+    value = "generate:clutter,densty=0.3"
+    with pytest.raises(ConfigError, match='"densty" is not a setting of generated rooms; did you mean "density"'):
+        TrainConfig(**{setting: (value,) if setting == "world" else value})
+
+
+def test_generated_rooms_may_be_trained_in_on_their_listed_paths():
+    config = TrainConfig(world=("generate:clutter,density=0.11,count=200",), random_paths=False)
+    assert config.directory.name == "fast-I-clutter,density=0.11,count=200-seed0"

@@ -234,6 +234,21 @@ def test_a_planner_is_driven_without_looking():
     assert short.outcome == "collision"
 
 
+def test_a_planner_gets_each_world_with_its_own_paths():
+    plans = {}
+
+    class Recorder:
+        name = "recorder"
+
+        def plan(self, world, starts, goals, camera, task, robot):
+            plans.setdefault(world.name, []).extend(goals.tolist())
+            return [np.array([1, 4, 4])] * len(starts)
+
+    evaluation = drive(Recorder(), [ROOM, OTHER_ROOM])
+    assert {name: len(goals) for name, goals in plans.items()} == {"room": 6, "other": 4}
+    assert [list(path.goal) for path in evaluation.paths] == plans["room"] + plans["other"]
+
+
 def test_only_some_paths_or_more_than_there_are():
     assert [(path.start_index, path.goal_index) for path in drive(ahead, num_paths=2).paths] == list(ROOM.paths[:2])
     with pytest.raises(ValueError, match='"room" has 6 paths; num_paths asks for 7'):
@@ -247,6 +262,80 @@ def test_random_worlds_have_as_many_paths_as_wanted():
     evaluation = drive(ahead, world, num_paths=5)
     assert [path.start_index for path in evaluation.paths] == [0, 1, 0, 1, 0]
     assert len({path.goal for path in evaluation.paths}) == 5
+
+
+OTHER_ROOM = ROOM.model_copy(update={"name": "other", "obstacles": (), "goals": ROOM.goals[:2]})
+
+
+@pytest.mark.parametrize("policy", [ahead, circling])
+def test_paths_of_several_worlds_are_driven_as_in_each_world_alone(policy):
+    together = drive(policy, [ROOM, OTHER_ROOM, ROOM])
+    assert together.worlds == ("room", "other", "room")
+    assert together.world == "room, other, room"
+    assert len(together.paths) == 6 + 4 + 6
+    for part, world in zip(together.by_world(), [ROOM, OTHER_ROOM, ROOM], strict=True):
+        assert part.to_json() == drive(policy, world).to_json()
+
+
+def test_many_paths_are_driven_in_parts_that_keep_worlds_whole(monkeypatch):
+    whole = drive(ahead, [ROOM, OTHER_ROOM, ROOM])
+    monkeypatch.setattr("rl.evaluation._TOGETHER", 5)
+    assert drive(ahead, [ROOM, OTHER_ROOM, ROOM]).to_json() == whole.to_json()
+
+
+def test_a_number_of_paths_is_shared_out_evenly_among_worlds():
+    worlds = [ROOM, OTHER_ROOM, ROOM]
+    some = drive(ahead, worlds, num_paths=8)
+    assert [sum(path.world_index == index for path in some.paths) for index in range(3)] == [3, 3, 2]
+    pairs = [(path.world_index, path.start_index, path.goal_index) for path in some.paths]
+    assert len(set(pairs)) == 8
+    assert pairs == sorted(pairs)
+    # Another seed takes others: which ones are driven is drawn, not always the first.
+    drawn = {
+        tuple((path.start_index, path.goal_index) for path in drive(ahead, worlds, num_paths=8, seed=seed).paths)
+        for seed in range(3)
+    }
+    assert len(drawn) > 1
+    # A world that has too few leaves the rest to the others.
+    assert [len(part.paths) for part in drive(ahead, worlds, num_paths=15).by_world()] == [6, 4, 5]
+
+
+def test_several_worlds_have_a_thousand_paths_at_most_unless_asked_for_more(monkeypatch):
+    monkeypatch.setattr("rl.evaluation.MOST_PATHS", 7)
+    assert len(drive(ahead, [ROOM, OTHER_ROOM]).paths) == 7
+    assert len(drive(ahead, [ROOM, OTHER_ROOM], num_paths=9).paths) == 9
+
+
+def test_paths_that_several_worlds_do_not_have_are_refused():
+    with pytest.raises(ValueError, match="the 2 worlds have 10 paths together; num_paths asks for 11"):
+        drive(ahead, [ROOM, OTHER_ROOM], num_paths=11)
+    with pytest.raises(ValueError, match=r"num_paths \(1\) must be at least 1 in each of the 2 worlds"):
+        drive(ahead, [ROOM, OTHER_ROOM], num_paths=1)
+    with pytest.raises(ValueError, match="needs at least one world"):
+        drive(ahead, [])
+
+
+def test_generated_rooms_are_evaluated_by_their_source():
+    source = "generate:blocks,size=4x4,density=0.06,seed=2,count=3"
+    evaluation = drive(ahead, source, num_paths=6)
+    assert evaluation.world == source
+    assert evaluation.worlds == ("blocks-0001", "blocks-0002", "blocks-0003")
+    assert [path.world_index for path in evaluation.paths] == [0, 0, 1, 1, 2, 2]
+
+
+def test_worlds_survive_json_and_older_files_have_one(tmp_path):
+    evaluation = drive(ahead, [ROOM, OTHER_ROOM], num_paths=4)
+    again = Evaluation.from_json(evaluation.to_json())
+    assert again.worlds == evaluation.worlds == ("room", "other")
+    assert [path.world_index for path in again.paths] == [path.world_index for path in evaluation.paths] == [0, 0, 1, 1]
+    values = drive(ahead).to_dict()
+    del values["worlds"]
+    for path in values["paths"]:
+        del path["world_index"]
+    assert Evaluation.from_dict(values).worlds == ("room",)
+    values["paths"][0]["world_index"] = 1
+    with pytest.raises(ValueError, match="a path lies in a world that it does not name"):
+        Evaluation.from_dict(values)
 
 
 def test_json_round_trip(tmp_path):

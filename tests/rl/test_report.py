@@ -147,6 +147,18 @@ def test_names_from_files_are_text_and_not_markup(page, run):
     assert "hall &lt;1&gt;" in (run.directory / "report.html").read_text(encoding="utf-8")
 
 
+def test_of_several_rooms_all_are_counted_and_the_first_is_drawn(run, tmp_path):
+    source = "generate:blocks,size=4,density=0.06,count=2"
+    several = Run.create(TrainConfig(out=tmp_path / "several", eval_world=source, world=(source,)))
+    several.save_policy("policy", make_actor(several.config).state_dict())
+    result = evaluate(make_baseline("straight"), source, name="D3QN-I", num_paths=4)
+    result.save(several.directory / "evaluation" / "D3QN-I.json")
+    page = Page(write_report(several).read_text(encoding="utf-8"))
+    text = " ".join(page.text)
+    assert f"{result.count('success')} of 4 goals in {source}, rooms that it has never seen" in text
+    assert "Every path of D3QN-I in blocks-0001" in text
+
+
 def test_a_run_that_was_not_finished_says_so(run, tmp_path):
     unfinished = Run.create(TrainConfig(out=tmp_path / "young"))
     with pytest.raises(RunError, match="no evaluation of its policy"):

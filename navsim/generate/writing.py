@@ -1,0 +1,59 @@
+"""Generated rooms as world files in a directory."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from navsim.generate.rooms import RoomSettings
+from navsim.world import World
+from navsim.worldfile import dump_world
+
+
+def write_rooms(
+    settings: RoomSettings, directory: str | os.PathLike[str], count: int = 1, first: int = 1
+) -> Iterator[tuple[World, Path]]:
+    """Writes rooms as ``DIRECTORY/KIND-0001.yaml`` and so on, and hands over each room with its file as it is written.
+
+    The bytes of a file follow from the settings and the room's number alone.
+
+    Args:
+        settings: of all the rooms.
+        directory: made if it is not there.
+        count: rooms to write.
+        first: number of the first one, from 1 up.
+
+    Raises:
+        ValueError: for numbers that cannot be used, files that are there already, and settings that no room was found
+            for.
+    """
+    if count < 1:
+        raise ValueError(f"count must be at least 1; got {count}")
+    if first < 1:
+        raise ValueError(f"first must be at least 1, the number of the first room; got {first}")
+    files = [Path(directory) / f"{settings.name(index)}.yaml" for index in range(first - 1, first - 1 + count)]
+    there = next((file for file in files if file.exists()), None)
+    if there is not None:
+        raise ValueError(f"{there} is there already; remove it, or choose another directory")
+    Path(directory).mkdir(parents=True, exist_ok=True)
+    return _written(settings, files, first - 1)
+
+
+def _written(settings: RoomSettings, files: list[Path], first: int) -> Iterator[tuple[World, Path]]:
+    for index, file in enumerate(files, start=first):
+        world = settings.room(index)
+        unfinished = file.with_name(f".{file.name}.part")
+        unfinished.write_text(room_text(settings, index, world), encoding="utf-8")
+        unfinished.replace(file)
+        yield world, file
+
+
+def room_text(settings: RoomSettings, index: int, world: World) -> str:
+    """The world file of room ``index``, with the command that makes it in the first line."""
+    density = "" if settings.density is None else f" --density {settings.density:g}"
+    command = (
+        f"navsim world generate --kind {settings.kind} --size {settings.size[0]:g},{settings.size[1]:g}{density} "
+        f"--seed {settings.seed} --first {index + 1}"
+    )
+    return f"# {command}\n\n{dump_world(world)}"
