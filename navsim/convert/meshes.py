@@ -40,7 +40,7 @@ def mesh_points(path: Path, submesh: str = "") -> np.ndarray:
             if not named:
                 raise MeshError(f"and its file has no part '{submesh}'")
             scene = trimesh.Scene(named)
-        points = np.asarray(scene.to_geometry().vertices, dtype=float).reshape(-1, 3)
+        points = np.array(scene.to_mesh().vertices, dtype=np.float64).reshape(-1, 3)
     except MeshError:
         raise
     except Exception as error:  # mesh files can be broken in more ways than there are kinds of exceptions

@@ -44,7 +44,7 @@ def mjcf_text(world: World) -> tuple[str, list[str]]:
     if pieces:
         xml.open("asset")
         for name, prism in pieces:
-            xml.leaf("mesh", **{"name": name, "inertia": "shell"}, **_mesh(prism))
+            xml.leaf("mesh", name=name, inertia="shell", **_mesh(prism))
         xml.close()
     xml.open("worldbody")
     xml.leaf("light", directional="true", pos=numbers(0.0, 0.0, extent), dir="-0.3 0.2 -1")
@@ -69,7 +69,9 @@ def mjcf_text(world: World) -> tuple[str, list[str]]:
     for key, places in (("start", world.starts), ("goal", world.goals)):
         for i, place in enumerate(() if isinstance(places, str) else places, start=1):
             yaw = math.radians(getattr(place, "yaw_deg", None) or 0.0)
-            xml.leaf("site", name=unused(f"{key}_{i}", taken), pos=numbers(*place.at, 0.0), euler=numbers(0.0, 0.0, yaw))
+            xml.leaf(
+                "site", name=unused(f"{key}_{i}", taken), pos=numbers(*place.at, 0.0), euler=numbers(0.0, 0.0, yaw)
+            )
     xml.close(2)
     return xml.text, notes
 

@@ -15,9 +15,9 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from navsim.convert.errors import ConversionError
-from navsim.errors import WorldError
-from navsim.polygon import crossing_edges, signed_area
-from navsim.world import LARGEST_LENGTH, SMALLEST_LENGTH, Walls, World
+from navsim.errors import Problem
+from navsim.polygon import convex_pieces, crossing_edges, signed_area
+from navsim.world import LARGEST_LENGTH, SMALLEST_LENGTH, Walls, World, parse_world
 
 DIGITS = 6
 """Decimals of imported lengths in metres, and of yaws in degrees: a micrometre."""
@@ -122,6 +122,8 @@ class Scene:
     """The opposite corner."""
     walls: Walls | Literal["none", "unsaid"] = "unsaid"
     """What stands around the room, if the file says."""
+    built: Walls = field(default_factory=Walls)
+    """The walls to build around a room without any."""
 
     def add(self, solid: Solid) -> None:
         """Takes up a solid.
@@ -140,16 +142,36 @@ def world_of(scene: Scene, room: Room | None = None) -> tuple[World, list[str]]:
     Raises:
         ConversionError: when it makes none that keeps the rules of world files.
     """
-    data, notes = data_of(scene, room or Room())
-    try:
-        return World.from_dict(data), notes
-    except WorldError as error:
-        first, others = error.problems[0], len(error.problems) - 1
+    room = room or Room()
+    data, notes = data_of(scene, room)
+    world, problems = parse_world(data)
+    unusable = [problem for problem in problems if _is_a_found_place(problem, room)]
+    if world is None and unusable and len(unusable) == len(problems):
+        # Nobody has asked for these places: they are what the file's own robots can use, and ours may not.
+        notes += [f"a place of the file's is left out: {problem}" for problem in unusable]
+        world, problems = parse_world(_without(data, unusable))
+    if world is None:
+        first, others = problems[0], len(problems) - 1
         more = f" (and {others} more like it)" if others else ""
         raise ConversionError(
             scene.source, 0, f"what it holds makes no world that can be used: {first}{more}; give the room another "
             "size or margin, or name starts and goals that are free"
-        ) from None  # fmt: skip
+        )  # fmt: skip
+    return world, notes
+
+
+def _is_a_found_place(problem: Problem, room: Room) -> bool:
+    return len(problem.where) > 1 and problem.where[0] in ("starts", "goals") and not getattr(room, problem.where[0])
+
+
+def _without(data: dict[str, Any], problems: list[Problem]) -> dict[str, Any]:
+    """``data`` without the starts and goals that have ``problems``."""
+    rest = dict(data)
+    for key in ("starts", "goals"):
+        faulty = {problem.where[1] for problem in problems if problem.where[0] == key}
+        if faulty:
+            rest[key] = [place for i, place in enumerate(data[key]) if i not in faulty] or "random"
+    return rest
 
 
 def data_of(scene: Scene, room: Room) -> tuple[dict[str, Any], list[str]]:
@@ -166,12 +188,15 @@ def data_of(scene: Scene, room: Room) -> tuple[dict[str, Any], list[str]]:
         )
     size = [_rounded(2.0 * half[0]), _rounded(2.0 * half[1])]
     half = 0.5 * np.array(size)
-    inside = []
+    inside: list[dict[str, Any]] = []
     for solid in solids:
-        if (np.abs(solid.key_points() - centre) > half + 10.0**-DIGITS).any():
-            notes.append(f"'{solid.name}' stands outside the room and is left out; --size or --margin make it larger")
-        else:
+        if (np.abs(solid.key_points() - centre) <= half + 10.0**-DIGITS).all():
             inside.append(_obstacle(solid, centre, half))
+            continue
+        pieces = [] if solid.motion else _cut_to(solid, centre - half, centre + half)
+        inside += [_obstacle(piece, centre, half) for piece in pieces]
+        what = "reaches out of the room and is cut off there" if pieces else "stands outside the room and is left out"
+        notes.append(f"'{solid.name}' {what}; --size or --margin make the room larger")
     data: dict[str, Any] = {"format": 1, "name": scene.name or "world", "size": size}
     if walls is None:
         data["walls"] = "none"
@@ -289,8 +314,11 @@ def _room_around(
         return low, high, scene.walls, solids
     if scene.walls == "none" or not room.walls:
         return low, high, None, solids
-    notes.append("the file has no walls around its room: four of 2 m height are built; --no-walls leaves it open")
-    return low, high, Walls(), solids
+    notes.append(
+        f"the file has no walls around its room: four of {scene.built.height:g} m height are built; "
+        "--open-floor leaves them out"
+    )
+    return low, high, scene.built, solids
 
 
 class _Enclosure(NamedTuple):
@@ -314,7 +342,7 @@ def _enclosure(solids: list[Solid]) -> _Enclosure | None:
         return None
     boxes = [solid for solid in solids if solid.kind == "box" and solid.base <= SAME and solid.mass is None]
     boxes = [box for box in boxes if box.motion is None]
-    upright = []
+    upright: list[tuple[Solid, np.ndarray, np.ndarray]] = []
     for box in boxes:
         corners = box.corners()
         low, high = corners.min(axis=0), corners.max(axis=0)
@@ -326,8 +354,10 @@ def _enclosure(solids: list[Solid]) -> _Enclosure | None:
     all_corners = np.concatenate([solid.corners() for solid in solids])
     outer_low, outer_high = all_corners.min(axis=0), all_corners.max(axis=0)
     candidates = [
-        [entry for entry in upright if abs(entry[side][axis] - outer[axis]) <= SAME]
-        for axis, side, outer in ((1, 2, outer_high), (0, 2, outer_high), (1, 1, outer_low), (0, 1, outer_low))
+        [entry for entry in upright if abs(entry[2][1] - outer_high[1]) <= SAME],
+        [entry for entry in upright if abs(entry[2][0] - outer_high[0]) <= SAME],
+        [entry for entry in upright if abs(entry[1][1] - outer_low[1]) <= SAME],
+        [entry for entry in upright if abs(entry[1][0] - outer_low[0]) <= SAME],
     ]
     if any(len(entries) > 8 for entries in candidates):
         return None
@@ -410,6 +440,38 @@ def _obstacle(solid: Solid, centre: np.ndarray, half: np.ndarray) -> dict[str, A
     return {solid.kind: settings}
 
 
+def _cut_to(solid: Solid, low: np.ndarray, high: np.ndarray) -> list[Solid]:
+    """The convex pieces of what ``solid`` has between two corners ``(2,)`` of a rectangle, as polygons."""
+    outline = solid.corners()
+    if solid.kind == "cylinder":
+        count = 4 * math.ceil(0.5 * math.pi * math.sqrt(solid.radius / (2.0 * SAME)) + 2.0)
+        angles = np.arange(count) * math.tau / count
+        outline = solid.centre + solid.radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    pieces: list[Solid] = []
+    for convex in convex_pieces([(float(x), float(y)) for x, y in outline]):
+        corners = np.array(convex)
+        for axis, bound, sign in ((0, low[0], 1.0), (0, high[0], -1.0), (1, low[1], 1.0), (1, high[1], -1.0)):
+            corners = _cut_at(corners, sign * (corners[:, axis] - bound)) if len(corners) else corners
+        points = _without_repeats(tuple((float(x), float(y)) for x, y in corners))
+        name = solid.name if not pieces else f"{solid.name} piece {len(pieces) + 1}"
+        piece = Solid(name, "polygon", solid.base, solid.top, points=points, mass=solid.mass)
+        if len(points) >= 3 and not _flaw(piece):
+            pieces.append(piece)
+    return pieces
+
+
+def _cut_at(corners: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """A convex polygon where ``inside`` ``(V,)``, linear over the plane, is not negative (Sutherland and Hodgman)."""
+    kept = []
+    for i in range(len(corners)):
+        j = (i + 1) % len(corners)
+        if inside[i] >= 0.0:
+            kept.append(corners[i])
+        if inside[i] * inside[j] < 0.0:
+            kept.append(corners[i] + inside[i] / (inside[i] - inside[j]) * (corners[j] - corners[i]))
+    return np.array(kept).reshape(-1, 2)
+
+
 def _snapped(yaw: float, extent: float) -> float:
     """``yaw``, or the multiple of a right angle that its author has rounded; within (−π, π], radians."""
     right = 0.5 * math.pi
@@ -445,5 +507,3 @@ def _listed(names: list[str], most: int = 5) -> str:
     """``names`` as they read in a sentence."""
     shown = ", ".join(f"'{name}'" for name in names[:most])
     return f"{shown} and {len(names) - most} more" if len(names) > most else shown
-
-

@@ -98,6 +98,10 @@ class _Body:
     movable: bool
 
 
+_Declared = tuple[Element, Scope, str, tuple[Path, ...], bool]
+"""A model, its frames, its full name, the files that led to it, and whether it is static."""
+
+
 class _Reader:
     def __init__(
         self, path: Path, finder: ModelFinder, visual: bool, approximate: Approximation, pushable: bool
@@ -155,7 +159,7 @@ class _Reader:
         self, parent: Element, scope: Scope, pose: np.ndarray, files: tuple[Path, ...], prefix: str, static: bool
     ) -> None:
         """Reads the models of a world or model, whose origin is at ``pose`` in the world."""
-        nested = []
+        nested: list[_Declared | None] = []
         for child in parent.all("model", "include"):
             if child.tag == "model":
                 nested.append(self._declare(child, child, scope, files, prefix, static))
@@ -174,7 +178,7 @@ class _Reader:
         files: tuple[Path, ...],
         prefix: str,
         static: bool,
-    ) -> tuple[Element, Scope, str, tuple[Path, ...], bool]:
+    ) -> _Declared:
         """Makes a model's frames known; ``placed_by`` is the model itself or the include that overrides it."""
         own_name = placed_by.words("name") if placed_by.tag == "include" else ""
         name = own_name or model.name
@@ -182,17 +186,14 @@ class _Reader:
         while label in scope.models:
             label += "'"
         inner = Scope(label)
-        if model is not placed_by or model.tag == "model":
-            for link in model.all("link"):
-                inner.declare(link)
-            for frame in model.all("frame"):
-                inner.declare(frame, frame.attributes.get("attached_to") or "__model__")
-            for joint in model.all("joint"):
-                inner.declare(joint, joint.words("child") or "__model__")
+        for link in model.all("link"):
+            inner.declare(link)
+        for frame in model.all("frame"):
+            inner.declare(frame, frame.attributes.get("attached_to") or "__model__")
+        for joint in model.all("joint"):
+            inner.declare(joint, joint.words("child") or "__model__")
         pose = placed_by.first("pose") or model.first("pose")
-        placement = placed_by.words("placement_frame") or placed_by.attributes.get("placement_frame", "")
-        if not placement and placed_by.first("pose") is None or model is placed_by:
-            placement = placement or model.attributes.get("placement_frame", "")
+        placement = placed_by.words("placement_frame") or model.attributes.get("placement_frame", "")
         entry = (inner, frame_of(pose, placed_by), placement)
         if placed_by.tag == "include" and placed_by.truth(placed_by.attributes.get("merge", "false")):
             scope.merged.append(entry)
@@ -206,7 +207,7 @@ class _Reader:
 
     def _included(
         self, include: Element, scope: Scope, files: tuple[Path, ...], prefix: str, static: bool
-    ) -> tuple[Element, Scope, str, tuple[Path, ...], bool] | None:
+    ) -> _Declared | None:
         uri = include.child("uri").text.strip()
         name = include.words("name") or uri.rstrip("/").rpartition("/")[2]
         self._includes += 1

@@ -103,4 +103,6 @@ def _tilt(pose: np.ndarray) -> float:
 def _levelled(tilt: float, moved: float) -> str:
     if moved <= LEVEL:
         return ""
-    return f"was tilted by {math.degrees(tilt):.2g} degrees and is levelled, which moves it by up to {1e3 * moved:.2g} mm"
+    return (
+        f"was tilted by {math.degrees(tilt):.2g} degrees and is levelled, which moves it by up to {1e3 * moved:.2g} mm"
+    )

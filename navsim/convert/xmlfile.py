@@ -207,7 +207,8 @@ def _attributes(attributes: dict[str, object]) -> str:
 def _legal(text: str) -> str:
     """``text`` without what XML 1.0 has no way to hold."""
     return "".join(
-        c if c in "\t\n" or " " <= c <= "\ud7ff" or "\ue000" <= c <= "\ufffd" or c >= "\U00010000" else "�" for c in text
+        c if c in "\t\n" or " " <= c <= "\ud7ff" or "\ue000" <= c <= "\ufffd" or c >= "\U00010000" else "�"
+        for c in text
     )
 
 

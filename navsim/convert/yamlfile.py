@@ -92,7 +92,7 @@ class Node:
         if isinstance(self.value, list):
             return [entry.plain() for entry in self.value[:5]]
         if isinstance(self.value, dict):
-            return {key: "…" for key in list(self.value)[:5]}
+            return dict.fromkeys(list(self.value)[:5], "…")
         return self.value
 
     def error(self, text: str) -> ConversionError:
