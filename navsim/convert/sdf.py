@@ -383,8 +383,9 @@ _NOT_READ = {
     "state": "it is what Gazebo has saved of a simulation, and models stand where they were put",
 }
 _CUBE = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
-_ANGLES = np.arange(32) * math.tau / 32
+_ANGLES = (np.arange(32) + 0.5) * math.tau / 32
 _CIRCLE = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(32)]) / math.cos(math.pi / 32)
+"""Around the circle of radius 1, and as wide as it along both axes."""
 _BALL = np.concatenate([_CIRCLE * [1.0, 1.0, 0.0] + [0.0, 0.0, z] for z in (-1.0, 1.0)])
 """Around the ball of radius 1: an upright prism over a polygon around its outline."""
 
