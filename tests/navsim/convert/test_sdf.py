@@ -300,7 +300,7 @@ def test_shipped_worlds_come_back_from_sdf_as_they_were(name, tmp_path):
     assert_same_view(world, back)
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(world=worlds())
 def test_any_world_comes_back_from_sdf_looking_the_same(world, tmp_path):
     path = tmp_path / "world.sdf"
