@@ -33,6 +33,8 @@ def read_image(path: str | os.PathLike[str]) -> tuple[np.ndarray, np.ndarray | N
                 return _brightness(image)
     except ConversionError:
         raise
+    except Image.DecompressionBombError:
+        raise ConversionError(file, 0, f"has more than {MOST_PIXELS} pixels; scale it down") from None
     except Exception as error:  # Pillow's readers fail in more ways than they document
         kind = type(error).__name__
         raise ConversionError(file, 0, f"is not a picture that can be read ({kind}); save it as PGM or PNG") from None

@@ -17,6 +17,8 @@ from navsim.polygon import crossing_edges, signed_area
 from navsim.prism import Prism
 
 _STEPS = ((1, 0), (0, 1), (-1, 0), (0, -1))
+_FEW_HOLES = 8
+"""In a piece of up to so many, the largest is opened first, where the cut is shortest: that takes the fewest cuts."""
 _TOUCH = 1e-9
 """Part of a cell by which a footprint must reach into it to occupy it."""
 
@@ -41,18 +43,22 @@ def fill_pockets(occupied: np.ndarray, radius: float) -> tuple[np.ndarray, int]:
     return occupied | narrow[free][1:-1, 1:-1], int(narrow.sum())
 
 
-def outlines(occupied: np.ndarray, tolerance: float = 0.0) -> list[np.ndarray]:
+def outlines(occupied: np.ndarray, tolerance: float = 0.0) -> Iterator[np.ndarray]:
     """Simple polygons, counter-clockwise, whose union is the occupied cells: each ``(V, 2)``, x and y in cells.
 
     Args:
         occupied: ``(H, W)`` bool; row 0 is the one with the least y.
         tolerance: how far a polygon's border may be from that of the cells, in cells; 0 keeps to the cells exactly.
     """
-    found = []
+    padded = np.pad(occupied, 1)
     for piece, offset in _pieces(occupied):
-        ring, shared = _ring(piece, occupied, offset)
-        found.append(_simplified(ring, shared, tolerance) + offset)
-    return found
+        height, width = piece.shape
+        if piece.all():
+            yield np.array([[0, 0], [width, 0], [width, height], [0, height]]) + offset
+            continue
+        x, y = offset.tolist()
+        ring, shared = _ring(piece, padded[y : y + height + 2, x : x + width + 2])
+        yield _simplified(ring, shared, tolerance) + offset
 
 
 def _pieces(occupied: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -74,29 +80,44 @@ def _pieces(occupied: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
 
 
 def _cut_through_a_hole(piece: np.ndarray) -> tuple[int, int] | None:
-    """Axis and index at which to cut a piece so that its largest hole opens; None when it has none."""
+    """Axis and index at which to cut a piece so that a hole of its opens; None when it has none."""
     free, count = ndimage.label(np.pad(~piece, 1, constant_values=True))
     if count <= 1:
         return None
-    holes = [(box, number) for number, box in enumerate(ndimage.find_objects(free), start=1) if number != free[0, 0]]
-    (rows, columns), _ = max(holes, key=lambda hole: math.prod(side.stop - side.start for side in hole[0]))
+    holes = [box for number, box in enumerate(ndimage.find_objects(free), start=1) if number != free[0, 0]]
+    if len(holes) <= _FEW_HOLES:
+        rows, columns = max(holes, key=lambda hole: math.prod(side.stop - side.start for side in hole))
+    else:  # halves keep the work in bounds, whatever holes there are
+        middle = [0.5 * side for side in piece.shape]
+        rows, columns = min(
+            holes,
+            key=lambda hole: sum(
+                abs(0.5 * (side.start + side.stop) - at) for side, at in zip(hole, middle, strict=True)
+            ),
+        )
     at = ((rows.start + rows.stop) // 2 - 1, (columns.start + columns.stop) // 2 - 1)
     crossed = (
         np.count_nonzero(piece[at[0]]) + (0 if at[0] else piece.shape[1]),
         np.count_nonzero(piece[:, at[1]]) + (0 if at[1] else piece.shape[0]),
     )
-    axis = int(np.argmin(crossed))
+    axis = int(np.argmin(crossed)) if len(holes) <= _FEW_HOLES else int(np.argmax(piece.shape))
+    if not at[axis]:
+        axis = 1 - axis
     return axis, at[axis]
 
 
-def _ring(piece: np.ndarray, occupied: np.ndarray, offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The border of a piece, counter-clockwise: corners ``(V, 2)``, cells, and whether the edge that begins at each
-    ``(V,)`` is shared with another piece of ``occupied``.
-    """  # fmt: skip
-    height, width = piece.shape
+def _ring(piece: np.ndarray, around: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The border of a piece ``(h, w)``, counter-clockwise: its corners, and which of its edges are shared.
+
+    Args:
+        piece: 4-connected and without holes.
+        around: ``(h + 2, w + 2)``, what is occupied there, a cell more on each side.
+
+    Returns:
+        corners ``(V, 2)``, cells, and whether another piece is beyond the edge that begins at each ``(V,)``.
+    """
     padded = np.pad(piece, 1)
-    x, y = int(offset[0]), int(offset[1])
-    around = np.pad(occupied, 1)[y : y + height + 2, x : x + width + 2]
+    width = piece.shape[1]
     inner = padded[1:-1, 1:-1]
     span = width + 1
     following: dict[int, tuple[int, int, bool]] = {}

@@ -15,6 +15,8 @@ DEEPEST_NESTING = 50
 MOST_VALUES = 1_000_000
 """Values, after aliases are replaced by what they stand for."""
 
+_CORE = "tag:yaml.org,2002:"
+_TAGS = {_CORE + kind for kind in ("map", "seq", "str", "int", "float", "bool", "null", "timestamp", "merge")}
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
@@ -134,12 +136,21 @@ class _Reader:
         self._count += 1
         if self._count > MOST_VALUES or depth > DEEPEST_NESTING:
             raise ConversionError(self._file, line, "holds too much in too few lines; write less of it, and flatter")
+        if node.tag not in _TAGS:
+            raise ConversionError(self._file, line, f"the tag '{node.tag[:40]}' is not read; write plain values")
         value: Any
         if isinstance(node, yaml.MappingNode):
             value = {}
+            merged: dict[str, Node] = {}
             for key, entry in node.value:
                 name = key.value if isinstance(key, yaml.ScalarNode) else ""
-                value[name] = self.read(entry, f"{where}.{name}" if where else name, depth + 1)
+                read = self.read(entry, f"{where}.{name}" if where else name, depth + 1)
+                if key.tag == _CORE + "merge":
+                    for source in read.entries:
+                        merged = {**(source.value if isinstance(source.value, dict) else {}), **merged}
+                else:
+                    value[name] = read
+            value = {**merged, **value}
         elif isinstance(node, yaml.SequenceNode):
             value = [self.read(entry, f"{where}[{i}]", depth + 1) for i, entry in enumerate(node.value)]
         else:
@@ -151,7 +162,7 @@ class _Reader:
                     self._file, line, f"{tag}cannot be read as a plain value; write a number or a word"
                 ) from None
             if not isinstance(value, (bool, int, float, str, type(None))):
-                value = node.value  # a date, or bytes: the text as it stands
+                value = node.value  # a date: the text as it stands
         return Node(value, self._file, line, where)
 
 

@@ -8,11 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from navsim.convert.raster import fill_pockets, occupied_cells, outlines
+from navsim.convert import raster
+from navsim.convert.raster import fill_pockets, occupied_cells
 from navsim.polygon import crossing_edges
 from navsim.prism import Prism
 
 grids = st.tuples(st.integers(1, 11), st.integers(1, 11)).flatmap(lambda shape: arrays(bool, shape))
+
+
+def outlines(mask: np.ndarray, tolerance: float = 0.0) -> list[np.ndarray]:
+    return list(raster.outlines(mask, tolerance))
 
 
 def cells_of(mask: np.ndarray) -> shapely.Geometry:
