@@ -294,8 +294,8 @@ def _room_around(
             low, high = centre - 0.5 * np.array(room.size), centre + 0.5 * np.array(room.size)
     elif not solids and room.size is None:
         text = "holds nothing that can stand in a room; --approximate may help, and --size makes an empty room"
-        reasons = f" ({notes[0]})" if notes else ""
-        raise ConversionError(scene.source, 0, text + reasons)
+        lost = next((note for note in notes if "left out" in note), "")
+        raise ConversionError(scene.source, 0, f"{text} ({lost})" if lost else text)
     else:
         corners = np.concatenate([solid.corners() for solid in solids]) if solids else np.zeros((1, 2))
         low, high = corners.min(axis=0), corners.max(axis=0)

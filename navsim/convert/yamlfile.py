@@ -12,7 +12,7 @@ from navsim.convert.textfile import read_bytes
 
 DEEPEST_NESTING = 50
 """Lists and mappings inside one another."""
-MOST_VALUES = 1_000_000
+MOST_VALUES = 200_000
 """Values, after aliases are replaced by what they stand for."""
 
 _CORE = "tag:yaml.org,2002:"
