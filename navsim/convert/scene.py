@@ -23,6 +23,8 @@ DIGITS = 6
 """Decimals of imported lengths in metres, and of yaws in degrees: a micrometre."""
 SAME = 5e-4
 """Metres within which walls count as flush, of the same height and of the same thickness."""
+_OPTIONAL = ("motion", "pushable")
+"""Settings that an obstacle can do without."""
 MOST_SOLIDS = 100_000
 """Obstacles of one imported file."""
 
@@ -145,11 +147,9 @@ def world_of(scene: Scene, room: Room | None = None) -> tuple[World, list[str]]:
     room = room or Room()
     data, notes = data_of(scene, room)
     world, problems = parse_world(data)
-    unusable = [problem for problem in problems if _is_a_found_place(problem, room)]
-    if world is None and unusable and len(unusable) == len(problems):
-        # Nobody has asked for these places: they are what the file's own robots can use, and ours may not.
-        notes += [f"a place of the file's is left out: {problem}" for problem in unusable]
-        world, problems = parse_world(_without(data, unusable))
+    if world is None and all(_can_be_spared(problem, room) for problem in problems):
+        notes += [f"left out, because a world file cannot have it so: {problem}" for problem in problems]
+        world, problems = parse_world(_without(data, problems))
     if world is None:
         first, others = problems[0], len(problems) - 1
         more = f" (and {others} more like it)" if others else ""
@@ -160,17 +160,27 @@ def world_of(scene: Scene, room: Room | None = None) -> tuple[World, list[str]]:
     return world, notes
 
 
-def _is_a_found_place(problem: Problem, room: Room) -> bool:
-    return len(problem.where) > 1 and problem.where[0] in ("starts", "goals") and not getattr(room, problem.where[0])
+def _can_be_spared(problem: Problem, room: Room) -> bool:
+    """Whether a problem is with a motion, or with a place that nobody has asked for: the file's own robots' it is."""
+    what, *more = problem.where or ("",)
+    if what in ("starts", "goals"):
+        return bool(more) and not getattr(room, what)
+    return what == "obstacles" and len(more) > 2 and more[2] in _OPTIONAL
 
 
 def _without(data: dict[str, Any], problems: list[Problem]) -> dict[str, Any]:
-    """``data`` without the starts and goals that have ``problems``."""
+    """``data`` without the starts, goals and motions that have ``problems``."""
     rest = dict(data)
     for key in ("starts", "goals"):
         faulty = {problem.where[1] for problem in problems if problem.where[0] == key}
         if faulty:
             rest[key] = [place for i, place in enumerate(data[key]) if i not in faulty] or "random"
+    still = {problem.where[1] for problem in problems if problem.where[0] == "obstacles"}
+    rest["obstacles"] = [
+        {kind: {key: value for key, value in settings.items() if i not in still or key not in _OPTIONAL}}
+        for i, entry in enumerate(data["obstacles"])
+        for kind, settings in entry.items()
+    ]
     return rest
 
 

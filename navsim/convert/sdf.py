@@ -473,9 +473,9 @@ def moving_notes(world: World) -> list[str]:
     notes = []
     for obstacle in world.obstacles:
         if obstacle.motion is not None:
-            notes.append(f"'{obstacle.name}' moves; it is written where it stands when an episode begins")
+            notes.append(f"'{obstacle.name}' moves; it is written where the world file puts it, as something fixed")
         if obstacle.pushable is not None:
-            notes.append(f"'{obstacle.name}' can be pushed; it is written as something fixed")
+            notes.append(f"'{obstacle.name}' can be pushed; it is written as something fixed, without its mass")
     return notes
 
 

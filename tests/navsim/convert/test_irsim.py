@@ -79,6 +79,21 @@ obstacle:
         assert any(f"'{name}'" in note and reason in note for note in notes), (name, notes)
 
 
+def test_a_way_that_is_not_free_is_left_out_and_listed(tmp_path):
+    text = """
+world: {width: 10, height: 10}
+obstacle:
+  - {kinematics: {name: omni}, shape: {name: circle, radius: 0.2}, state: [2, 5], goal: [8, 5],
+     behavior: {name: dash, loop: true}}
+  - {shape: {name: circle, radius: 0.5}, state: [5, 5]}
+"""
+    path = tmp_path / "world.yaml"
+    path.write_text(text)
+    world, notes = load_irsim(path)
+    assert [obstacle.motion for obstacle in world.obstacles] == [None, None]
+    assert any("left out" in note and "obstacles[0].cylinder.motion" in note for note in notes)
+
+
 def test_merge_keys_fill_in_what_an_entry_lacks(tmp_path):
     text = """
 common: &common {shape: {name: circle, radius: 0.3}, state: [1, 1]}
