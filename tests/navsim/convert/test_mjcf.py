@@ -8,7 +8,8 @@ from hypothesis import HealthCheck, given, settings
 from same_view import CAMERA, part_that_differs, poses_in, worlds
 
 import navsim
-from navsim.convert import save_mjcf
+from navsim.convert import save_mjcf, save_ros_map, save_sdf
+from navsim.world import Motion, Pushable
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -75,3 +76,20 @@ def test_names_survive_and_concave_polygons_bump_as_they_look(tmp_path):
     assert {model.geom(i).name for i in range(model.ngeom)} >= {"floor", "wall north", "the L", "box 2"}
     assert [model.site(i).name for i in range(model.nsite)] == ["start_1", "goal_1"]
     assert notes == ["starts and goals are written as sites, which nothing bumps into"]
+
+
+def test_what_moves_or_can_be_pushed_is_written_where_it_stands_and_listed(tmp_path):
+    world = navsim.load_world("simple_eval")
+    moving = world.obstacles[0].model_copy(update={"motion": Motion(path=((0.0, 0.0), (1.0, 0.0)), speed=0.5)})
+    loose = world.obstacles[1].model_copy(update={"pushable": Pushable(mass=0.5)})
+    changed = world.model_copy(update={"obstacles": (moving, loose, *world.obstacles[2:])})
+    for save, path in ((save_mjcf, "w.xml"), (save_sdf, "w.sdf"), (save_ros_map, "w.yaml")):
+        notes = save(changed, tmp_path / path)
+        assert [note for note in notes if moving.name in note] == [
+            f"'{moving.name}' moves; it is written where the world file puts it, as something fixed"
+        ]
+        assert any(f"'{loose.name}' can be pushed" in note for note in notes)
+        still = tmp_path / "still"
+        still.mkdir(exist_ok=True)
+        save(world, still / path)
+        assert (still / path).read_text() == (tmp_path / path).read_text()

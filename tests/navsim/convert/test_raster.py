@@ -49,20 +49,18 @@ def test_simplified_outlines_stay_within_the_tolerance_of_the_cells(mask, tolera
     assert cells.difference(union.buffer(tolerance + 1e-9)).area < 1e-9
 
 
-@settings(max_examples=100, deadline=None)
-@given(grids, st.sampled_from([0.5, 0.75]))
-def test_nothing_can_be_seen_between_pieces_of_one_patch(mask, tolerance):
-    """Where a patch is cut, the pieces share the cut: shrunk by a hair and grown again, nothing opens between them."""
-    union = shapely.union_all(polygons_of(mask, tolerance))
-    pieces = polygons_of(mask, tolerance)
-    for i, piece in enumerate(pieces):
-        for other in pieces[i + 1 :]:
-            shared = piece.boundary.intersection(other.boundary)
+@settings(max_examples=80, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.5, 0.75, 1.5]))
+def test_pieces_of_one_patch_keep_the_border_between_them(seed, tolerance):
+    """Or else one could see through where a patch is cut."""
+    mask = np.random.default_rng(seed).random((12, 12)) < 0.85
+    exact, simple = polygons_of(mask, 0.0), polygons_of(mask, tolerance)
+    for i, piece in enumerate(exact):
+        for k in range(i + 1, len(exact)):
+            shared = piece.boundary.intersection(exact[k].boundary)
             if shared.length:
-                assert union.buffer(1e-6).contains(shared)
-                exact = shapely.union_all([piece, other])
-                closed = exact.buffer(1e-3, join_style="mitre").buffer(-1e-3, join_style="mitre")
-                assert closed.symmetric_difference(exact).area < 1e-4
+                assert simple[i].boundary.buffer(1e-9).contains(shared)
+                assert simple[k].boundary.buffer(1e-9).contains(shared)
 
 
 def test_a_ring_is_cut_so_that_no_piece_has_a_hole():
