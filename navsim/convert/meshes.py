@@ -18,7 +18,9 @@ class MeshError(ValueError):
 
 
 def mesh_points(path: Path, submesh: str = "") -> np.ndarray:
-    """``(K, 3)``: the corners of a mesh file, in the file's own unit.
+    """``(K, 3)``: the corners of a mesh file, in its own unit, which is taken for metres where it does not say.
+
+    As Gazebo does, COLLADA's unit is heeded, and its ``up_axis`` is not.
 
     Args:
         path: a file of a kind that trimesh reads: .stl, .obj, .ply, .glb, .dae (with pycollada), …
@@ -41,6 +43,7 @@ def mesh_points(path: Path, submesh: str = "") -> np.ndarray:
                 raise MeshError(f"and its file has no part '{submesh}'")
             scene = trimesh.Scene(named)
         points = np.array(scene.to_mesh().vertices, dtype=np.float64).reshape(-1, 3)
+        points *= _metres(scene.units)
     except MeshError:
         raise
     except Exception as error:  # mesh files can be broken in more ways than there are kinds of exceptions
@@ -49,3 +52,13 @@ def mesh_points(path: Path, submesh: str = "") -> np.ndarray:
     if not len(points) or not np.isfinite(points).all():
         raise MeshError(f"and {path.name} holds no corners")
     return points
+
+
+def _metres(unit: str | None) -> float:
+    """Metres in a unit as trimesh names that of a COLLADA file.
+
+    >>> _metres("0.0254 * meters"), _metres("meters"), _metres(None)
+    (0.0254, 1.0, 1.0)
+    """
+    factor, _, of = (unit or "").partition(" * ")
+    return float(factor) if of == "meters" else 1.0
