@@ -1,0 +1,519 @@
+"""What an imported file holds, on its way to a :class:`~navsim.World`: upright prisms, a room, remarks.
+
+Every reader of a foreign format fills in a :class:`Scene` in the file's own coordinates, and :func:`world_of` makes a
+world of it: finds or builds the four walls, moves the room's centre to the origin, and says what it did.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from navsim.convert.errors import ConversionError
+from navsim.errors import Problem
+from navsim.polygon import convex_pieces, crossing_edges, signed_area
+from navsim.world import LARGEST_LENGTH, SMALLEST_LENGTH, Walls, World, parse_world
+
+DIGITS = 6
+"""Decimals of imported lengths in metres, and of yaws in degrees: a micrometre."""
+SAME = 5e-4
+"""Metres within which walls count as flush, of the same height and of the same thickness."""
+_OPTIONAL = ("motion", "pushable")
+"""Settings that an obstacle can do without."""
+MOST_SOLIDS = 100_000
+"""Obstacles of one imported file."""
+
+
+@dataclass(frozen=True)
+class Room:
+    """The room that an imported file is put into, where the file itself does not say.
+
+    Coordinates are the file's own; what was found is moved so that the room's centre becomes the origin.
+    """
+
+    size: tuple[float, float] | None = None
+    """Extents along x and y, metres; by default what the file says, or else its geometry with ``margin``."""
+    margin: float = 1.0
+    """Free floor around the geometry of a file that does not say how large its room is, metres."""
+    walls: bool = True
+    """Whether to build four walls, 2 m high, around a room that has none."""
+    starts: tuple[tuple[float, float], ...] = ()
+    """Where episodes begin, metres; by default what the file says, or else drawn each episode."""
+    goals: tuple[tuple[float, float], ...] = ()
+    """Where episodes are to end, metres; by default what the file says, or else drawn each episode."""
+
+    def __post_init__(self) -> None:
+        for name, values in (("size", self.size or ()), ("margin", (self.margin,))):
+            if not all(math.isfinite(value) and value >= 0.0 for value in values):
+                raise ValueError(f"room {name} must be finite and not negative, in metres; got {getattr(self, name)!r}")
+        if self.size is not None and not all(SMALLEST_LENGTH <= value <= LARGEST_LENGTH for value in self.size):
+            raise ValueError(f"room size must be two lengths up to {LARGEST_LENGTH:g} m; got {self.size!r}")
+        for name in ("starts", "goals"):
+            if not all(math.isfinite(value) for place in getattr(self, name) for value in place):
+                raise ValueError(f"room {name} must be finite, in metres; got {getattr(self, name)!r}")
+
+
+class Place(NamedTuple):
+    """A start or a goal, metres and radians."""
+
+    x: float
+    y: float
+    yaw: float | None = None
+
+
+@dataclass(frozen=True)
+class Solid:
+    """An upright prism, in a file's own coordinates: metres and radians."""
+
+    name: str
+    kind: Literal["box", "cylinder", "polygon"]
+    base: float
+    top: float
+    centre: tuple[float, float] = (0.0, 0.0)
+    """Of a box or cylinder."""
+    size: tuple[float, float] = (0.0, 0.0)
+    """Of a box, along its own axes."""
+    yaw: float = 0.0
+    """Of a box."""
+    radius: float = 0.0
+    """Of a cylinder."""
+    points: tuple[tuple[float, float], ...] = ()
+    """Corners of a polygon."""
+    motion: dict[str, Any] | None = None
+    """As in a world file, but for the origin."""
+    mass: float | None = None
+    """Of what can be pushed, kilograms."""
+
+    def corners(self) -> np.ndarray:
+        """``(V, 2)``: the footprint's corners, or those of a cylinder's bounding square; metres."""
+        if self.kind == "polygon":
+            return np.array(self.points)
+        half = np.array([self.radius, self.radius]) if self.kind == "cylinder" else 0.5 * np.array(self.size)
+        square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * half
+        yaw = 0.0 if self.kind == "cylinder" else self.yaw
+        turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
+        return square @ turn + np.array(self.centre)
+
+    def key_points(self) -> np.ndarray:
+        """``(K, 2)``: the points that a world file wants inside the room."""
+        return np.array(self.points if self.kind == "polygon" else [self.centre])
+
+
+@dataclass
+class Scene:
+    """What was read from a file."""
+
+    source: str
+    """The file's name, for errors."""
+    name: str
+    solids: list[Solid] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    """What could not be kept as it was, one sentence each."""
+    starts: list[Place] = field(default_factory=list)
+    goals: list[Place] = field(default_factory=list)
+    floor: float = 0.0
+    """Height of the floor, metres."""
+    low: tuple[float, float] | None = None
+    """Corner of the room with the least x and y, metres, if the file says."""
+    high: tuple[float, float] | None = None
+    """The opposite corner."""
+    walls: Walls | Literal["none", "unsaid"] = "unsaid"
+    """What stands around the room, if the file says."""
+    built: Walls = field(default_factory=Walls)
+    """The walls to build around a room without any."""
+
+    def add(self, solid: Solid) -> None:
+        """Takes up a solid.
+
+        Raises:
+            ConversionError: when there are too many.
+        """
+        if len(self.solids) >= MOST_SOLIDS:
+            raise ConversionError(self.source, 0, f"holds more than {MOST_SOLIDS} obstacles; split it")
+        self.solids.append(solid)
+
+
+def world_of(scene: Scene, room: Room | None = None) -> tuple[World, list[str]]:
+    """The world that a scene makes, and everything that is worth knowing about how it came to be.
+
+    Raises:
+        ConversionError: when it makes none that keeps the rules of world files.
+    """
+    room = room or Room()
+    data, notes = data_of(scene, room)
+    world, problems = parse_world(data)
+    if world is None and all(_can_be_spared(problem, room) for problem in problems):
+        notes += [f"left out, because a world file cannot have it so: {problem}" for problem in problems]
+        world, problems = parse_world(_without(data, problems))
+    if world is None:
+        first, others = problems[0], len(problems) - 1
+        more = f" (and {others} more like it)" if others else ""
+        raise ConversionError(
+            scene.source, 0, f"what it holds makes no world that can be used: {first}{more}; give the room another "
+            "size or margin, or name starts and goals that are free"
+        )  # fmt: skip
+    return world, notes
+
+
+def _can_be_spared(problem: Problem, room: Room) -> bool:
+    """Whether a problem is with a motion, or with a place that nobody has asked for: the file's own robots' it is."""
+    what, *more = problem.where or ("",)
+    if what in ("starts", "goals"):
+        return bool(more) and not getattr(room, what)
+    return what == "obstacles" and len(more) > 2 and more[2] in _OPTIONAL
+
+
+def _without(data: dict[str, Any], problems: list[Problem]) -> dict[str, Any]:
+    """``data`` without the starts, goals and motions that have ``problems``."""
+    rest = dict(data)
+    for key in ("starts", "goals"):
+        faulty = {problem.where[1] for problem in problems if problem.where[0] == key}
+        if faulty:
+            rest[key] = [place for i, place in enumerate(data[key]) if i not in faulty] or "random"
+    still = {problem.where[1] for problem in problems if problem.where[0] == "obstacles"}
+    rest["obstacles"] = [
+        {kind: {key: value for key, value in settings.items() if i not in still or key not in _OPTIONAL}}
+        for i, entry in enumerate(data["obstacles"])
+        for kind, settings in entry.items()
+    ]
+    return rest
+
+
+def data_of(scene: Scene, room: Room) -> tuple[dict[str, Any], list[str]]:
+    """What a world file of the scene holds, and the notes."""
+    notes = list(scene.notes)
+    solids = _above_the_floor(_sound(scene.solids, notes), scene.floor, notes)
+    low, high, walls, solids = _room_around(scene, solids, room, notes)
+    centre = 0.5 * (low + high)
+    half = 0.5 * (high - low)
+    if np.abs(centre).max() > 10.0**-DIGITS:
+        notes.append(
+            f"the room's centre, ({centre[0]:g}, {centre[1]:g}) in the file, is the origin of the world: everything is "
+            f"moved by ({_plain(-centre[0]):g}, {_plain(-centre[1]):g}) m"
+        )
+    size = [_rounded(2.0 * half[0]), _rounded(2.0 * half[1])]
+    half = 0.5 * np.array(size)
+    inside: list[dict[str, Any]] = []
+    for solid in solids:
+        if (np.abs(solid.key_points() - centre) <= half + 10.0**-DIGITS).all():
+            inside.append(_obstacle(solid, centre, half))
+            continue
+        pieces = [] if solid.motion else _cut_to(solid, centre - half, centre + half)
+        inside += [_obstacle(piece, centre, half) for piece in pieces]
+        what = "reaches out of the room and is cut off there" if pieces else "stands outside the room and is left out"
+        notes.append(f"'{solid.name}' {what}; --size or --margin make the room larger")
+    data: dict[str, Any] = {"format": 1, "name": scene.name or "world", "size": size}
+    if walls is None:
+        data["walls"] = "none"
+    else:
+        data["walls"] = {"height": _rounded(walls.height), "thickness": _rounded(walls.thickness)}
+    data["obstacles"] = inside
+    data["starts"] = _places(room.starts, scene.starts, centre)
+    data["goals"] = _places(room.goals, scene.goals, centre)
+    for key in ("starts", "goals"):
+        if data[key] == "random":
+            notes.append(f"{key} are drawn at random each episode; --{key} X Y lists them")
+    return data, notes
+
+
+def _sound(solids: list[Solid], notes: list[str]) -> list[Solid]:
+    """The solids that a world file can hold, each with a name of its own."""
+    names = Counter(solid.name for solid in solids)
+    number: Counter[str] = Counter()
+    sound = []
+    for solid in solids:
+        name = " ".join(solid.name.split()) or solid.kind
+        if names[solid.name] > 1:
+            number[solid.name] += 1
+            name = f"{name} {number[solid.name]}"
+        flaw = _flaw(solid)
+        if flaw:
+            notes.append(f"'{name}' {flaw}; it is left out")
+        else:
+            yaw = _snapped(solid.yaw, max(solid.size))
+            sound.append(replace(solid, name=name, yaw=yaw, points=_without_repeats(solid.points)))
+    return sound
+
+
+def _flaw(solid: Solid) -> str:
+    """Why a world file cannot hold ``solid``; empty when it can."""
+    lengths = {"box": solid.size, "cylinder": (solid.radius,), "polygon": ()}[solid.kind]
+    values = [*lengths, *solid.corners().ravel().tolist(), solid.base, solid.top]
+    if not all(math.isfinite(value) and abs(value) <= LARGEST_LENGTH for value in values):
+        return f"is larger or farther away than {LARGEST_LENGTH:g} m"
+    if any(length < 10.0**-DIGITS for length in (*lengths, solid.top - solid.base)):
+        return "is thinner than a micrometre"
+    if solid.kind == "polygon":
+        points = _without_repeats(solid.points)
+        if len(points) < 3 or abs(signed_area(points)) < 10.0**-DIGITS * 10.0**-DIGITS:
+            return "has an outline without an inside"
+        if crossing_edges(points) is not None:
+            return "has an outline that crosses or touches itself"
+    return ""
+
+
+def _without_repeats(points: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+    """The corners of an outline, rounded, without those that repeat the one before; the last may repeat the first."""
+    rounded = [(round(x, DIGITS + 3), round(y, DIGITS + 3)) for x, y in points]
+    return tuple(
+        point for i, point in enumerate(rounded) if math.dist(point, rounded[i - 1]) >= 2.0 * 10.0**-DIGITS
+    )  # fmt: skip
+
+
+def _above_the_floor(solids: list[Solid], floor: float, notes: list[str]) -> list[Solid]:
+    """The solids with heights over the floor, without what lies under it."""
+    standing, sunk, cut = [], [], []
+    for solid in solids:
+        base, top = solid.base - floor, solid.top - floor
+        if top <= 1e-3:
+            sunk.append(solid.name)
+            continue
+        if base < -1e-3:
+            cut.append(solid.name)
+        standing.append(replace(solid, base=base if base > 1e-9 else 0.0, top=top))
+    if sunk:
+        notes.append(f"what lies under the floor is left out: {_listed(sunk)}")
+    if cut:
+        notes.append(f"what reaches under the floor is cut off there: {_listed(cut)}")
+    return standing
+
+
+def _room_around(
+    scene: Scene, solids: list[Solid], room: Room, notes: list[str]
+) -> tuple[np.ndarray, np.ndarray, Walls | None, list[Solid]]:
+    """Corners ``(2,)`` of the room in the file's coordinates, its walls, and the solids that are not its walls."""
+    found = _enclosure(solids) if scene.walls == "unsaid" and room.size is None else None
+    if found is not None:
+        notes.append(
+            f"{_listed([solid.name for solid in found.walls])} enclose a room of {found.size[0]:g} x {found.size[1]:g} "
+            f"m: they became its walls"
+        )
+        if found.open_corners:
+            notes.append("those walls do not meet in all corners; they do in the world")
+        rest = [solid for solid in solids if not any(solid is wall for wall in found.walls)]
+        return found.low, found.high, Walls(height=found.height, thickness=found.thickness), rest
+    if scene.low is not None and scene.high is not None:
+        low, high = np.array(scene.low), np.array(scene.high)
+        if room.size is not None:
+            centre = 0.5 * (low + high)
+            low, high = centre - 0.5 * np.array(room.size), centre + 0.5 * np.array(room.size)
+    elif not solids and room.size is None:
+        text = "holds nothing that can stand in a room; --approximate may help, and --size makes an empty room"
+        lost = next((note for note in notes if "left out" in note), "")
+        raise ConversionError(scene.source, 0, f"{text} ({lost})" if lost else text)
+    else:
+        corners = np.concatenate([solid.corners() for solid in solids]) if solids else np.zeros((1, 2))
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        if room.size is None:
+            low, high = low - room.margin, high + room.margin
+            notes.append(
+                f"no four walls enclose a room: it is as large as what stands in it and {room.margin:g} m around; "
+                "--margin or --size change that"
+            )
+        else:
+            centre = 0.5 * (low + high)
+            low, high = centre - 0.5 * np.array(room.size), centre + 0.5 * np.array(room.size)
+    if (high - low).max() > LARGEST_LENGTH:
+        raise ConversionError(scene.source, 0, f"needs a room larger than {LARGEST_LENGTH:g} m; give --size")
+    if isinstance(scene.walls, Walls):
+        return low, high, scene.walls, solids
+    if scene.walls == "none" or not room.walls:
+        return low, high, None, solids
+    notes.append(
+        f"the file has no walls around its room: four of {scene.built.height:g} m height are built; "
+        "--open-floor leaves them out"
+    )
+    return low, high, scene.built, solids
+
+
+class _Enclosure(NamedTuple):
+    """Four boxes that are a room's walls."""
+
+    walls: tuple[Solid, ...]
+    low: np.ndarray
+    high: np.ndarray
+    height: float
+    thickness: float
+    open_corners: bool
+
+    @property
+    def size(self) -> np.ndarray:
+        return self.high - self.low
+
+
+def _enclosure(solids: list[Solid]) -> _Enclosure | None:
+    """Four boxes that enclose all else: as high and as thick as each other, along the axes, and nothing beside them."""
+    if len(solids) < 4:
+        return None
+    boxes = [solid for solid in solids if solid.kind == "box" and solid.base <= SAME and solid.mass is None]
+    boxes = [box for box in boxes if box.motion is None]
+    upright: list[tuple[Solid, np.ndarray, np.ndarray]] = []
+    for box in boxes:
+        corners = box.corners()
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        if box.yaw == 0.5 * math.pi * round(box.yaw / (0.5 * math.pi)):
+            upright.append((box, low, high))
+    if len(upright) < 4:
+        return None
+    # Whatever encloses everything reaches farthest out.
+    all_corners = np.concatenate([solid.corners() for solid in solids])
+    outer_low, outer_high = all_corners.min(axis=0), all_corners.max(axis=0)
+    candidates = [
+        [entry for entry in upright if abs(entry[2][1] - outer_high[1]) <= SAME],
+        [entry for entry in upright if abs(entry[2][0] - outer_high[0]) <= SAME],
+        [entry for entry in upright if abs(entry[1][1] - outer_low[1]) <= SAME],
+        [entry for entry in upright if abs(entry[1][0] - outer_low[0]) <= SAME],
+    ]
+    if any(len(entries) > 8 for entries in candidates):
+        return None
+    for four in itertools.product(*candidates):
+        found = _enclosed_by(four, outer_low, outer_high)
+        if found is None:
+            continue
+        rest = [solid for solid in solids if not any(solid is wall for wall in found.walls)]
+        if all(_within(solid.key_points(), found.low, found.high) for solid in rest):
+            return found
+    return None
+
+
+def _enclosed_by(four: tuple[Any, ...], outer_low: np.ndarray, outer_high: np.ndarray) -> _Enclosure | None:
+    """The room between a north, an east, a south and a west wall, if that is what these boxes are."""
+    (north, north_low, north_high), (east, east_low, east_high), (south, south_low, south_high), west_entry = four
+    west, west_low, west_high = west_entry
+    if len({id(north), id(east), id(south), id(west)}) < 4:
+        return None
+    low = np.array([west_high[0], south_high[1]])
+    high = np.array([east_low[0], north_low[1]])
+    if (high - low).min() <= 0.1:
+        return None
+    thicknesses = (outer_high[1] - high[1], outer_high[0] - high[0], low[1] - outer_low[1], low[0] - outer_low[0])
+    heights = [box.top for box in (north, east, south, west)]
+    if max(heights) - min(heights) > SAME or max(thicknesses) - min(thicknesses) > SAME:
+        return None
+    spans = (
+        (north_low[0], north_high[0], low[0], high[0]),
+        (south_low[0], south_high[0], low[0], high[0]),
+        (east_low[1], east_high[1], low[1], high[1]),
+        (west_low[1], west_high[1], low[1], high[1]),
+    )
+    if any(begin > inner_begin + SAME or end < inner_end - SAME for begin, end, inner_begin, inner_end in spans):
+        return None
+    t = float(np.mean(thicknesses))
+    across = (north_low[0], south_low[0], north_high[0], south_high[0])
+    along = (west_low[1], east_low[1], west_high[1], east_high[1])
+    corners = [  # of the ring: closed by the one wall or the other
+        across[0] <= low[0] - t + SAME or along[2] >= high[1] + t - SAME,
+        across[1] <= low[0] - t + SAME or along[0] <= low[1] - t + SAME,
+        across[2] >= high[0] + t - SAME or along[3] >= high[1] + t - SAME,
+        across[3] >= high[0] + t - SAME or along[1] <= low[1] - t + SAME,
+    ]
+    return _Enclosure((north, east, south, west), low, high, float(np.mean(heights)), t, not all(corners))
+
+
+def _within(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
+    return bool((points >= low - SAME).all() and (points <= high + SAME).all())
+
+
+def _obstacle(solid: Solid, centre: np.ndarray, half: np.ndarray) -> dict[str, Any]:
+    """An entry of ``obstacles``."""
+
+    def moved(point: Any) -> list[float]:
+        x, y = np.clip(np.asarray(point) - centre, -half, half)
+        return [_rounded(x), _rounded(y)]
+
+    settings: dict[str, Any] = {"name": solid.name}
+    if solid.kind == "polygon":
+        settings["points"] = [moved(point) for point in solid.points]
+    else:
+        settings["at"] = moved(solid.centre)
+    if solid.kind == "box":
+        settings["size"] = [_rounded(solid.size[0]), _rounded(solid.size[1])]
+        yaw = _rounded(math.degrees(solid.yaw))
+        if yaw:
+            settings["yaw_deg"] = yaw
+    if solid.kind == "cylinder":
+        settings["radius"] = _rounded(solid.radius)
+    base = _rounded(solid.base)
+    if base:
+        settings["base"] = base
+    settings["height"] = max(_rounded(solid.top - base), 10.0**-DIGITS)
+    if solid.motion is not None:
+        path = [[_rounded(x - centre[0]), _rounded(y - centre[1])] for x, y in solid.motion["path"]]
+        settings["motion"] = {**solid.motion, "path": path}
+    if solid.mass is not None:
+        settings["pushable"] = {"mass": _rounded(solid.mass)}
+    return {solid.kind: settings}
+
+
+def _cut_to(solid: Solid, low: np.ndarray, high: np.ndarray) -> list[Solid]:
+    """The convex pieces of what ``solid`` has between two corners ``(2,)`` of a rectangle, as polygons."""
+    outline = solid.corners()
+    if solid.kind == "cylinder":
+        count = 4 * math.ceil(0.5 * math.pi * math.sqrt(solid.radius / (2.0 * SAME)) + 2.0)
+        angles = np.arange(count) * math.tau / count
+        outline = solid.centre + solid.radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    pieces: list[Solid] = []
+    for convex in convex_pieces([(float(x), float(y)) for x, y in outline]):
+        corners = np.array(convex)
+        for axis, bound, sign in ((0, low[0], 1.0), (0, high[0], -1.0), (1, low[1], 1.0), (1, high[1], -1.0)):
+            corners = _cut_at(corners, sign * (corners[:, axis] - bound)) if len(corners) else corners
+        points = _without_repeats(tuple((float(x), float(y)) for x, y in corners))
+        name = solid.name if not pieces else f"{solid.name} piece {len(pieces) + 1}"
+        piece = Solid(name, "polygon", solid.base, solid.top, points=points, mass=solid.mass)
+        if len(points) >= 3 and not _flaw(piece):
+            pieces.append(piece)
+    return pieces
+
+
+def _cut_at(corners: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """A convex polygon where ``inside`` ``(V,)``, linear over the plane, is not negative (Sutherland and Hodgman)."""
+    kept = []
+    for i in range(len(corners)):
+        j = (i + 1) % len(corners)
+        if inside[i] >= 0.0:
+            kept.append(corners[i])
+        if inside[i] * inside[j] < 0.0:
+            kept.append(corners[i] + inside[i] / (inside[i] - inside[j]) * (corners[j] - corners[i]))
+    return np.array(kept).reshape(-1, 2)
+
+
+def _snapped(yaw: float, extent: float) -> float:
+    """``yaw``, or the multiple of a right angle that its author has rounded; within (−π, π], radians."""
+    right = 0.5 * math.pi
+    nearest = right * round(yaw / right)
+    if abs(yaw - nearest) * extent <= 1e-4:
+        yaw = nearest
+    wrapped = math.remainder(yaw, math.tau)
+    return math.pi if wrapped <= -math.pi + 1e-12 else wrapped
+
+
+def _places(asked: tuple[tuple[float, float], ...], found: list[Place], centre: np.ndarray) -> Any:
+    places = [Place(x, y) for x, y in asked] or found
+    if not places:
+        return "random"
+    entries: list[Any] = []
+    for place in places:
+        at = [_rounded(place.x - centre[0]), _rounded(place.y - centre[1])]
+        yaw = None if place.yaw is None else _rounded(math.degrees(math.remainder(place.yaw, math.tau)))
+        entries.append(at if yaw is None else {"at": at, "yaw_deg": yaw})
+    return entries
+
+
+def _rounded(value: float) -> float:
+    return _plain(round(float(value), DIGITS))
+
+
+def _plain(value: float) -> float:
+    """``value`` without a negative zero."""
+    return value + 0.0
+
+
+def _listed(names: list[str], most: int = 5) -> str:
+    """``names`` as they read in a sentence."""
+    shown = ", ".join(f"'{name}'" for name in names[:most])
+    return f"{shown} and {len(names) - most} more" if len(names) > most else shown
