@@ -7,7 +7,7 @@ here, because tyro reads them.
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import Positional, arg
+from tyro.conf import FlagCreatePairsOff, Positional, arg
 from tyro.extras import SubcommandApp
 
 from rl.console import busy
@@ -54,3 +54,26 @@ def show(
     with busy("drawing"):
         path = save_plan_view(world, output or Path(f"{world.name}.png"))
     print(path)
+
+
+@world_commands.command
+def edit(
+    file: Positional[str],
+    like: Annotated[str | None, arg(metavar="WORLD", help_behavior_hint="(default: a small template)")] = None,
+    port: Annotated[int, arg(help_behavior_hint="(default: a free one)")] = 0,
+    no_browser: FlagCreatePairsOff[bool] = False,
+) -> None:
+    """Edit a world file in the browser: the plan, what the robot sees, and the text, each of which changes the others.
+
+    The page is served on this machine only, until Ctrl-C. The text keeps its comments and its order.
+
+    Args:
+        file: World file; a new one if it does not exist.
+        like: World file, or name of a shipped world, that a new file begins as a copy of.
+        port: Port of localhost.
+        no_browser: Print the address of the page without opening it.
+    """
+    from navsim.editor.file import EditedFile
+    from navsim.editor.server import edit as serve
+
+    serve(EditedFile(file, like), port=port, open_browser=not no_browser)
