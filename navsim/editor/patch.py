@@ -447,16 +447,16 @@ def _insert_pair(tree: Tree, node: Node, key: str, value: Any, level: int) -> It
     quoted = bool(node.pairs) and node.pairs[0][0].style == '"'
     name = f'"{key}"' if quoted else key
     if not node.pairs:
-        yield _insertion(node.content + 1, f"{name}: {_flow(value, tree)}")
+        yield _insertion(node.content + 1, f"{name}: {_flow(value, tree, key)}")
     elif node.flow:
-        pair = f"{name}: {_flow(value, tree)}"
+        pair = f"{name}: {_flow(value, tree, key)}"
         if before:
             yield _insertion(node.pairs[before[-1]][1].end, f", {pair}")
         else:
             yield _insertion(node.pairs[0][0].start, f"{pair}, ")
     else:
         column = tree.column(node.pairs[0][0].start)
-        pair = f"{name}: {_flow(value, tree)}"
+        pair = f"{name}: {_flow(value, tree, key)}"
         if level == 0 and isinstance(value, list) and key in LISTS:
             pair = f"{name}:" + "".join(f"{tree.line_break}  - {_flow(entry, tree)}" for entry in value)
         if before:
@@ -518,12 +518,12 @@ def _item_like(tree: Tree, like: Node, dash: int, value: Any) -> str:
         neighbour, settings = shape.pairs[0]
         if isinstance(new, dict) and settings.kind == "mapping" and not settings.flow:
             inner = tree.column(settings.content) if tree.column(settings.content) > column else column + 2
-            below = (f"{name}: {_flow(item, tree)}" for name, item in new.items())
+            below = (f"{name}: {_flow(item, tree, name)}" for name, item in new.items())
             lines.append(f"{key}:" + "".join(tree.line_break + " " * inner + line for line in below))
         else:
             pad = settings.content - neighbour.start if isinstance(new, dict) and settings.kind == "mapping" else 0
             is_aligned = pad > len(neighbour.text) + 2 and tree.text[settings.content] == "{"
-            lines.append(f"{key}:".ljust(pad if is_aligned else len(key) + 2) + _flow(new, tree))
+            lines.append(f"{key}:".ljust(pad if is_aligned else len(key) + 2) + _flow(new, tree, key))
     return (tree.line_break + " " * column).join(lines)
 
 

@@ -184,7 +184,8 @@ function change(edits, { selection, kind = null } = {}) {
 
 function typed(value) {
   state.text = value;
-  history.push(value, state.selection, "typing");
+  const line = value.slice(0, $("text").selectionStart).split("\n").length;
+  history.push(value, state.selection, `typing in line ${line}`);
   $("unsaved").hidden = value === state.saved;
   clearTimeout(typed.timer);
   typed.timer = setTimeout(refresh, 120);

@@ -132,7 +132,7 @@ def check_edit(text: str, edit: dict, intended: dict, comments: list[str]) -> st
     return new
 
 
-@settings(max_examples=250, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
+@settings(max_examples=90, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
 @given(worlds, st.randoms(use_true_random=False), st.sampled_from(["\n", "\n", "\r\n"]), st.booleans(), st.data())
 def test_any_edit_of_any_style_says_what_was_meant_and_touches_nothing_else(data, chance, line_break, with_mark, draws):
     writer = Writer(chance, line_break)
