@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 
 class Problem(NamedTuple):
@@ -20,13 +20,29 @@ class Problem(NamedTuple):
         return f"{key_path(self.where)}: {self.text}" if self.where else self.text
 
 
+class Finding(NamedTuple):
+    """Something to tell the author about a place in a file; lines and columns count from 1, as editors do."""
+
+    line: int
+    column: int
+    end_column: int
+    """Column behind the last character of the text at fault, in the same line; at least ``column + 1``."""
+    text: str
+    """One sentence, without the place."""
+    severity: Literal["error", "warning"] = "error"
+    where: tuple[str | int, ...] = ()
+    """The keys and list positions that lead to it; empty for the file as a whole."""
+
+
 class WorldError(ValueError):
     """A world that breaks the rules of the format; the message lists every problem found, one a line."""
 
-    def __init__(self, problems: Sequence[str]) -> None:
+    def __init__(self, problems: Sequence[str], findings: Sequence[Finding] = ()) -> None:
         super().__init__(tuple(problems))
         self.problems: tuple[str, ...] = tuple(problems)
         """One sentence for each problem, with its place."""
+        self.findings: tuple[Finding, ...] = tuple(findings)
+        """The same problems for a program to work with, where they are about places in a text."""
 
     def __str__(self) -> str:
         return "\n".join(self.problems)

@@ -13,13 +13,13 @@ import difflib
 import gc
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, Literal, NamedTuple, NoReturn
 
 import yaml
 
-from navsim.errors import Problem, WorldError
+from navsim.errors import Finding, Problem, WorldError
 from navsim.world import World, parse_world
 
 DEEPEST_NESTING = 50
@@ -69,6 +69,16 @@ def load_world(path: str | os.PathLike[str]) -> World:
         WorldError: when there is no such file, or the file breaks the format's rules; with every problem of the
             file, each with file, line, column and key.
     """
+    file, content = read_file(path)
+    return parse_text(content, source=str(file), default_name=file.stem)
+
+
+def read_file(path: str | os.PathLike[str]) -> tuple[Path, bytes]:
+    """The file that ``path``, or the name of a shipped world, stands for, and its content.
+
+    Raises:
+        WorldError: when there is no such file, or it cannot be read, or it is too large to be a world.
+    """
     file = _find(path)
     try:
         content = file.read_bytes()
@@ -77,7 +87,7 @@ def load_world(path: str | os.PathLike[str]) -> World:
         raise WorldError([f"{file}: {reason}; name a file such as 'room.yaml'"]) from None
     if len(content) > LARGEST_FILE:
         raise WorldError([f"{file}: is larger than {LARGEST_FILE // 2**20} MiB; split it into several worlds"])
-    return parse_text(content, source=str(file), default_name=file.stem)
+    return file, content
 
 
 def parse_text(content: bytes | str, source: str = "<text>", default_name: str = "world") -> World:
@@ -91,13 +101,22 @@ def parse_text(content: bytes | str, source: str = "<text>", default_name: str =
     Raises:
         WorldError: when the text breaks the format's rules; with every problem of the text.
     """
-    text = _decoded(content, source) if isinstance(content, bytes) else content
+    text = decoded(content, source) if isinstance(content, bytes) else content
     with _without_garbage_collection():
-        document = _Document(text, source)
+        document = read_document(text, source)
         world, problems = parse_world(document.data, default_name)
     if world is None or document.problems:
         document.refuse(problems)
     return world
+
+
+def read_document(text: str, source: str = "<text>") -> _Document:
+    """The plain data of a YAML text, for :func:`navsim.world.parse_world`, and the place of every value.
+
+    Raises:
+        WorldError: when the text is not YAML, or uses what world files do without.
+    """
+    return _Document(text, source)
 
 
 def save_world(world: World, path: str | os.PathLike[str]) -> None:
@@ -161,14 +180,20 @@ def _yaml_files(directory: Path) -> list[str]:
         return []
 
 
-def _decoded(content: bytes, source: str) -> str:
+def decoded(content: bytes, source: str) -> str:
+    """The text of a file in UTF-8.
+
+    Raises:
+        WorldError: when it is not.
+    """
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         column = error.start - content.rfind(b"\n", 0, error.start)
         text = f"byte 0x{content[error.start]:02x} is not UTF-8; save the file with UTF-8 encoding"
-        raise WorldError([f"{source}:{line}:{column}: {text}"]) from None
+        found = Finding(line, column, column + 1, text)
+        raise WorldError([f"{source}:{line}:{column}: {text}"], [found]) from None
 
 
 _NULL = {"~", "null", "Null", "NULL"}
@@ -186,6 +211,53 @@ class _Located(NamedTuple):
     line: int
     column: int
     text: str
+    where: tuple[str | int, ...] = ()
+    is_scalar: bool = True
+    """Whether the text at fault is a key or one value, not a list or mapping that begins in the same place."""
+
+
+def text_lines(text: str) -> list[str]:
+    """The lines of ``text`` as YAML counts them."""
+    return re.split("\r\n|[\r\n\x85\u2028\u2029]", text)
+
+
+class _Extents:
+    """Where the keys and values of a text end; worked out only for what an author is told of."""
+
+    def __init__(self, text: str) -> None:
+        self._lines = text_lines(text)
+        self._scalars: dict[tuple[int, int], tuple[int, int]] = {}
+        self._collections: dict[tuple[int, int], tuple[int, int]] = {}
+        self._last_end: dict[int, int] = {}
+        """By line, the greatest column behind a key or value in it: where its comment has not begun."""
+        open_marks: list[Any] = []
+        with contextlib.suppress(yaml.YAMLError):
+            events: Iterable[Any] = yaml.parse(text, Loader=_Loader)
+            for event in events:
+                start, end = event.start_mark, event.end_mark
+                if isinstance(event, yaml.CollectionStartEvent):
+                    open_marks.append((start, event.flow_style))
+                    continue
+                if isinstance(event, yaml.CollectionEndEvent):
+                    start, is_flow = open_marks.pop()
+                    if not is_flow:
+                        continue
+                    self._collections[start.line, start.column] = (end.line, end.column)
+                elif isinstance(event, (yaml.ScalarEvent, yaml.AliasEvent)):
+                    self._scalars[start.line, start.column] = (end.line, end.column)
+                else:
+                    continue
+                self._last_end[end.line] = max(self._last_end.get(end.line, 0), end.column)
+
+    def end_column(self, located: _Located) -> int:
+        """The column behind the text at fault, counted from 1; the end of the line where it goes on in the next."""
+        line, column = located.line - 1, located.column - 1
+        extents = self._scalars if located.is_scalar else self._collections
+        last_line, end = extents.get((line, column), (line, column))
+        if last_line > line or (end <= column and not located.is_scalar):
+            length = len(self._lines[line].rstrip()) if line < len(self._lines) else 0
+            end = self._last_end.get(line, length) if self._last_end.get(line, 0) > column else length
+        return max(end, column + 1) + 1
 
 
 class _Document:
@@ -195,6 +267,7 @@ class _Document:
         self.problems: list[_Located] = []
         """What is wrong with the text as YAML, where reading could go on."""
         self._source = source
+        self._text = text
         self._blank: set[tuple[str | int, ...]] = set()
         """Keys without a value; whatever else is wrong with them follows from that."""
         self._marks: dict[int, Any] = {}
@@ -213,18 +286,31 @@ class _Document:
     def refuse(self, problems: list[Problem]) -> NoReturn:
         """Raises a :class:`WorldError` of ``problems`` and of what is wrong with the text itself, in its order."""
         told = (self._located(problem) for problem in problems if problem.where not in self._blank)
-        located = sorted({*self.problems, *told})
-        raise WorldError([f"{self._source}:{line}:{column}: {text}" for line, column, text in located])
+        by_place = {located[:3]: located for located in [*told, *self.problems]}
+        located = [by_place[place] for place in sorted(by_place)]
+        sentences = [f"{self._source}:{one.line}:{one.column}: {one.text}" for one in located]
+        raise WorldError(sentences, self._findings(located, "error"))
+
+    def findings(self, problems: Iterable[Problem], severity: Literal["error", "warning"]) -> list[Finding]:
+        """``problems`` at their places in the text, in its order."""
+        return self._findings(sorted(map(self._located, problems)), severity)
+
+    def _findings(self, located: Sequence[_Located], severity: Literal["error", "warning"]) -> list[Finding]:
+        extents = _Extents(self._text)
+        return [
+            Finding(one.line, one.column, extents.end_column(one), one.text, severity, one.where) for one in located
+        ]
 
     def _located(self, problem: Problem) -> _Located:
-        mark, data = self._start, self.data
+        mark, data, is_key = self._start, self.data, False
         for depth, part in enumerate(problem.where):
             mark = self._marks[id(data)][part]
             if isinstance(data, dict):
-                of_the_key = problem.at_key and depth == len(problem.where) - 1
-                mark = mark[0] if of_the_key else mark[1]
+                is_key = problem.at_key and depth == len(problem.where) - 1
+                mark = mark[0] if is_key else mark[1]
             data = data[part]  # type: ignore[index]
-        return _Located(mark.line + 1, mark.column + 1, str(problem))
+        is_scalar = is_key or not isinstance(data, (dict, list))
+        return _Located(mark.line + 1, mark.column + 1, str(problem), problem.where, is_scalar)
 
     def _read_document(self) -> object:
         next(self._events)
@@ -345,7 +431,8 @@ class _Document:
 
     def _report(self, event: Any, text: str) -> None:
         mark = event.start_mark
-        self.problems.append(_Located(mark.line + 1, mark.column + 1, str(Problem(tuple(self._path), text))))
+        where = tuple(self._path)
+        self.problems.append(_Located(mark.line + 1, mark.column + 1, str(Problem(where, text)), where))
 
     def _fail(self, event: Any, text: str) -> NoReturn:
         """Ends the reading: what follows cannot be understood."""
