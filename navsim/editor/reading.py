@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 from pydantic import ValidationError, model_validator
 from typing_extensions import Self
 
+from navsim.check import check_text
 from navsim.editor.yamltree import Tree
-from navsim.errors import WorldError
+from navsim.errors import Finding, WorldError
 from navsim.world import World
-from navsim.worldfile import _Document, parse_text
+from navsim.worldfile import parse_text, read_document
 
 
 class Sketch(World):
@@ -22,15 +21,6 @@ class Sketch(World):
     @model_validator(mode="after")
     def _keeps_the_rules(self) -> Self:
         return self
-
-
-class Finding(NamedTuple):
-    """Something to tell the author about a line; lines and columns count from 1."""
-
-    line: int
-    column: int
-    text: str
-    severity: str = "error"
 
 
 @dataclass(frozen=True)
@@ -59,23 +49,19 @@ def read_world(text: str, default_name: str = "world") -> Reading:
     """
     bare = text.removeprefix("\ufeff")
     try:
-        return Reading(text, parse_text(bare, _SOURCE, default_name), ())
+        return Reading(text, parse_text(bare, default_name=default_name), ())
     except WorldError as error:
-        findings = tuple(_finding(problem) for problem in error.problems)
-    return Reading(text, _sketched(bare, default_name), findings)
+        return Reading(text, _sketched(bare, default_name), error.findings)
 
 
-_SOURCE = "<editor>"
-
-
-def _finding(problem: str) -> Finding:
-    place = re.fullmatch(rf"{_SOURCE}:(\d+):(\d+): (.*)", problem, flags=re.DOTALL)
-    return Finding(int(place[1]), int(place[2]), place[3]) if place else Finding(1, 1, problem)
+def oddities_of(reading: Reading) -> list[Finding]:
+    """What is legal in a text but odd; nothing for one with errors. It takes a moment."""
+    return [] if reading.findings else list(check_text(reading.text.removeprefix("\ufeff")).warnings)
 
 
 def _sketched(text: str, default_name: str) -> World | None:
     try:
-        document = _Document(text, _SOURCE)
+        document = read_document(text)
         if document.problems or not isinstance(document.data, dict):
             return None
         return Sketch.model_validate({"name": default_name, **document.data})

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import re
 import threading
 from typing import Any
 
 import numpy as np
 
 from navsim.camera import DepthCamera
-from navsim.editor.patch import dependants, entries
-from navsim.editor.reading import Finding, Reading
+from navsim.editor.patch import LISTS, dependants, entries
+from navsim.editor.reading import Reading
+from navsim.errors import Finding
 from navsim.planner import shortest_path, shortest_path_length
 from navsim.raycast import render_depth
 from navsim.robot import TURTLEBOT2
@@ -26,13 +26,14 @@ def describe(reading: Reading) -> dict[str, Any]:
     """The world of a text, where its entries stand in it, and what is wrong with it."""
     return {
         "scene": None if reading.world is None else _scene(reading, reading.world),
-        "problems": [_problem(finding) for finding in reading.findings],
+        "problems": [problem(finding) for finding in reading.findings],
     }
 
 
-def _problem(finding: Finding) -> dict[str, Any]:
-    named = re.match(r"(obstacles|starts|goals)\[(\d+)\]", finding.text)
-    return {**finding._asdict(), "where": [named[1], int(named[2])] if named else None}
+def problem(finding: Finding) -> dict[str, Any]:
+    """A finding, with the entry that it is about."""
+    where = list(finding.where[:2])
+    return {**finding._asdict(), "where": where if len(where) == 2 and where[0] in LISTS else None}
 
 
 def _scene(reading: Reading, world: World) -> dict[str, Any]:

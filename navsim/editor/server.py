@@ -23,8 +23,8 @@ from typing import Any
 
 from navsim.editor.file import LARGEST_TEXT, ChangedOnDiskError, EditedFile
 from navsim.editor.patch import EditError, patched
-from navsim.editor.reading import Reading, read_world
-from navsim.editor.scene import LARGEST_IMAGE, Paths, depth_millimetres, describe, equipment
+from navsim.editor.reading import Reading, oddities_of, read_world
+from navsim.editor.scene import LARGEST_IMAGE, Paths, depth_millimetres, describe, equipment, problem
 from navsim.errors import WorldError
 
 LARGEST_REQUEST = 2 * LARGEST_TEXT
@@ -210,12 +210,14 @@ class _Handler(BaseHTTPRequestHandler):
             text = self._edited(_text_of(ask), ask.get("edits"))
             return _JSON, _json({"text": text, **self._read(text)})
         if path == "api/depth":
-            world = self._world(ask)
+            world = self._reading(ask).world
             pose, (width, height) = _pose_of(ask), _size_of(ask)
             return "application/octet-stream", depth_millimetres(world, pose, width, height)
         if path == "api/paths":
-            found = self.server.paths.of(self._world(ask))
+            found = self.server.paths.of(self._reading(ask).world)
             return _JSON, _json({"stale": True} if found is None else found)
+        if path == "api/oddities":
+            return _JSON, _json({"problems": [problem(finding) for finding in oddities_of(self._reading(ask))]})
         if path == "api/save":
             return _JSON, _json(self._save(_text_of(ask), ask.get("stamp")))
         raise RequestError(HTTPStatus.NOT_FOUND, f"there is no {path!r} here")
@@ -248,11 +250,11 @@ class _Handler(BaseHTTPRequestHandler):
             raise EditError("the text cannot be read; mend it, or undo, before you change the plan")
         return patched(text, edits)
 
-    def _world(self, ask: dict[str, Any]) -> Any:
+    def _reading(self, ask: dict[str, Any]) -> Any:
         reading = self.server.remembered(str(ask.get("world")))
         if reading is None or reading.world is None:
             raise RequestError(HTTPStatus.GONE, "this world is no longer known; read its text again")
-        return reading.world
+        return reading
 
     def _save(self, text: str, stamp: Any) -> dict[str, Any]:
         if not isinstance(stamp, str):

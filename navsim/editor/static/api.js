@@ -35,6 +35,7 @@ export const file = async () => (await request("api/file")).json();
 export const read = async (text) => (await ask("api/read", { text })).json();
 export const edit = async (text, edits) => (await ask("api/edit", { text, edits })).json();
 export const paths = async (world) => (await ask("api/paths", { world })).json();
+export const oddities = async (world) => (await ask("api/oddities", { world })).json();
 export const save = async (text, stamp) => (await ask("api/save", { text, stamp })).json();
 
 /** Depth in millimetres, row by row. */

@@ -17,7 +17,8 @@ const state = {
   scene: null, // the last world that could be drawn
   frozen: false, // whether the text cannot be read, so that the plan shows an older one
   world: null, // the server's name of the text that `scene` is of
-  problems: [], pairs: null, selection: [], pose: [0, 0, 0], tool: "select", equipment: null,
+  errors: [], odd: [], problems: [], pairs: null, // odd: legal, but worth a remark
+  selection: [], pose: [0, 0, 0], tool: "select", equipment: null,
 };
 let history, gesture = null, work = Promise.resolve();
 
@@ -58,6 +59,7 @@ function failed(error) {
 // Drawing all there is
 
 function show() {
+  state.problems = [...state.errors, ...(state.errors.length ? [] : state.odd)];
   const dirty = state.text !== state.saved;
   $("unsaved").hidden = !dirty;
   $("save").disabled = !dirty && state.stamp !== "";
@@ -69,7 +71,7 @@ function show() {
   state.selection = state.selection.filter(({ list, index }) => list === "camera" || (Array.isArray(state.scene?.[list]) && index < state.scene[list].length));
   plan.set({
     scene: state.scene, selection: state.selection, pairs: state.pairs, pose: state.pose, equipment: state.equipment,
-    bad: state.problems.flatMap(offenders),
+    bad: state.errors.flatMap(offenders), odd: state.problems.filter(({ severity }) => severity === "warning").flatMap(offenders),
     frozen: state.frozen, showPaths: $("show-paths").checked, showNames: $("show-names").checked,
   });
   if (!gesture) panel.show(state);
@@ -86,10 +88,10 @@ function offenders({ where, text: told }) {
 }
 
 function showProblems() {
-  const rows = state.problems.map(({ line, column, text: told, severity }) => {
+  const rows = state.problems.map(({ line, column, end_column: end, text: told, severity }) => {
     const row = Object.assign(document.createElement("button"), { className: `problem ${severity}`, title: "Go to the line" });
     row.append(Object.assign(document.createElement("b"), { textContent: `${line}:${column}` }), ` ${told}`);
-    row.onclick = () => text.jump(line, column);
+    row.onclick = () => text.jump(line, column, end);
     return row;
   });
   const cut = (state.pairs ?? []).filter((pair) => pair.points === null).length;
@@ -119,12 +121,13 @@ function showSummary() {
 
 /** Takes in what the server says about `said`, a text that is being shown. */
 function take(answer) {
-  state.problems = answer.problems;
+  state.errors = answer.problems;
   state.frozen = answer.scene === null;
   if (answer.scene) {
     state.scene = answer.scene;
     if (state.world !== answer.world) {
       state.world = answer.world;
+      state.odd = [];
       look();
       findPaths();
     }
@@ -154,7 +157,13 @@ function findPaths() {
     const world = state.world;
     try {
       const answer = await api.paths(world);
-      if (!answer.stale && world === state.world) { state.pairs = answer.pairs; show(); }
+      if (answer.stale || world !== state.world) return;
+      state.pairs = answer.pairs;
+      show();
+      const { problems } = await api.oddities(world);
+      if (world !== state.world || gesture) return;
+      state.odd = problems;
+      show();
     } catch (error) { if (error.status !== 410) failed(error); }
   }, 350);
 }

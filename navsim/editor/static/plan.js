@@ -173,8 +173,8 @@ export class Plan {
   }
 
   marks(list, index) {
-    const isBad = (this.state.bad ?? []).some((item) => same(item, { list, index }));
-    return `${this.isSelected(list, index) ? " selected" : ""}${isBad ? " bad" : ""}`;
+    const isIn = (items) => (items ?? []).some((item) => same(item, { list, index }));
+    return `${this.isSelected(list, index) ? " selected" : ""}${isIn(this.state.bad) ? " bad" : isIn(this.state.odd) ? " odd" : ""}`;
   }
 
   kind(thing) {

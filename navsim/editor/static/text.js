@@ -94,14 +94,13 @@ export class TextView {
     if (top < scrollTop + height || top > scrollTop + clientHeight - 2 * height) this.area.scrollTop = Math.max(0, top - clientHeight / 3);
   }
 
-  /** Puts the caret where a problem is; lines and columns count from 1. */
-  jump(line, column) {
-    const lines = this.area.value.split("\n");
+  /** Selects what a problem is about; lines and columns count from 1. */
+  jump(line, column, end) {
+    const lines = this.area.value.split("\n"), own = lines[line - 1] ?? "";
     const before = lines.slice(0, line - 1).reduce((sum, each) => sum + each.length + 1, 0);
-    const offset = before + unitOffset(lines[line - 1] ?? "", column - 1);
+    const [first, last] = [column, end].map((place) => before + Math.min(unitOffset(own, place - 1), own.length));
     this.area.focus();
-    const word = /^[^\s,\]}:]+/.exec(this.area.value.slice(offset));
-    this.area.setSelectionRange(offset, offset + (word ? word[0].length : 0));
-    this.reveal(offset);
+    this.area.setSelectionRange(first, last);
+    this.reveal(first);
   }
 }

@@ -132,9 +132,12 @@ def check_edit(text: str, edit: dict, intended: dict, comments: list[str]) -> st
     return new
 
 
-@settings(max_examples=90, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
-@given(worlds, st.randoms(use_true_random=False), st.sampled_from(["\n", "\n", "\r\n"]), st.booleans(), st.data())
-def test_any_edit_of_any_style_says_what_was_meant_and_touches_nothing_else(data, chance, line_break, with_mark, draws):
+texts = given(
+    worlds, st.randoms(use_true_random=False), st.sampled_from(["\n", "\n", "\r\n"]), st.booleans(), st.data()
+)
+
+
+def check_edits(data, chance, line_break, with_mark, draws) -> None:
     writer = Writer(chance, line_break)
     text = ("\ufeff" if with_mark else "") + writer.document(data)
     note(text)
@@ -148,6 +151,23 @@ def test_any_edit_of_any_style_says_what_was_meant_and_touches_nothing_else(data
                 return  # what others share is another test's
         text = check_edit(text, edit, intended, [c for c in writer.comments if c in text])
         data = intended
+
+
+# Reports are long, and shrinking them takes minutes: what fails is shown as it was drawn.
+PHASES = [Phase.explicit, Phase.reuse, Phase.generate]
+
+
+@settings(max_examples=60, deadline=None, phases=PHASES)
+@texts
+def test_any_edit_of_any_style_says_what_was_meant_and_touches_nothing_else(data, chance, line_break, with_mark, draws):
+    check_edits(data, chance, line_break, with_mark, draws)
+
+
+@pytest.mark.slow
+@settings(max_examples=1000, deadline=None, phases=PHASES)
+@texts
+def test_many_edits_of_many_styles(data, chance, line_break, with_mark, draws):
+    check_edits(data, chance, line_break, with_mark, draws)
 
 
 @settings(max_examples=25, deadline=None)

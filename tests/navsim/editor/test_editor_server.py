@@ -135,6 +135,15 @@ def test_paths_are_those_of_the_planner_and_pairs_without_one_are_told(server):
     assert pair == {"start": 0, "goal": 0, "points": None, "length": None}
 
 
+def test_what_is_odd_is_told_with_its_place(server):
+    text = ROOM.replace("at: [1.0, 0.0], size", "at: [1.0, 2.8], size")
+    _, answer = told(server, "api/read", {"text": text})
+    assert answer["problems"] == []
+    (problem, *_) = told(server, "api/oddities", {"world": answer["world"]})[1]["problems"]
+    assert (problem["severity"], problem["where"], problem["line"]) == ("warning", ["obstacles", 0], 4)
+    assert "beyond the room" in problem["text"]
+
+
 def test_strangers_are_refused(server):
     port = server.server_address[1]
     assert ask(server, "GET", "api/file", token="guess")[0] == 404
