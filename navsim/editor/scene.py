@@ -54,6 +54,7 @@ def _scene(reading: Reading, world: World) -> dict[str, Any]:
     for i, obstacle in enumerate(world.obstacles):
         (own,) = said["obstacles"][i].values()
         settings = {"kind": obstacle.kind, "named": "name" in own, **obstacle.model_dump(mode="json")}
+        settings |= {key: own.get(key) for key in ("motion", "pushable")}  # as written, without defaults
         scene["obstacles"].append(placed("obstacles", i, settings))
     for name, places in (("starts", world.starts), ("goals", world.goals)):
         scene[name] = (

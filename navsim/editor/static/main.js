@@ -24,7 +24,7 @@ let history, gesture = null, work = Promise.resolve();
 
 const plan = new Plan($("plan"), { press, move, release, twice, hover });
 const panel = new Panel($("panel"), {
-  set: (where, values) => change([{ op: "set", where, values }], { kind: `set ${where} ${Object.keys(values)}` }),
+  set: (where, values) => change([{ op: "set", where, values: withWay(where, values) }], { kind: `set ${where} ${Object.keys(values)}` }),
   remove, duplicate, pose: setPose,
 });
 const text = new TextView({ area: $("text"), highlight: $("highlight"), gutter: $("gutter") }, { typed, caret });
@@ -228,6 +228,12 @@ function step(entry) {
   text.set(entry.text);
   refresh();
   show();
+}
+
+/** What is put elsewhere takes the way along which it moves with it. */
+function withWay([list, index], values) {
+  const thing = state.scene[list]?.[index];
+  return thing?.motion && values.at ? { ...moved(thing, subtract(values.at, thing.at)), ...values } : values;
 }
 
 const things = () => state.selection.filter(({ list }) => list !== "camera").map((item) => ({ ...item, thing: state.scene[item.list][item.index] }));

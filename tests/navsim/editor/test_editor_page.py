@@ -259,6 +259,20 @@ def test_handles_resize_and_move_corners_and_the_panel_takes_numbers(page):
     page.until_text("- cylinder: {at: [-1.0, 1.5], radius: 0.2, base: 0.75, height: 0.5}")
 
 
+def test_what_moves_takes_its_way_along(page):
+    motion = "motion: {path: [[0.0, -1.0], [0.0, 2.0]], speed: 1}"
+    walker = f"  - cylinder: {{at: [0.0, -1.0], radius: 0.2, height: 1.7, {motion}}}\n"
+    page.write("starts:\n", walker + "starts:\n")
+    page.until("return document.querySelectorAll('#plan .obstacle').length === 4")
+    page.drag(page.at(0.0, -1.0), page.at(0.5, -1.5))
+    moved = walker.replace("at: [0.0, -1.0]", "at: [0.5, -1.5]").replace(
+        "[[0.0, -1.0], [0.0, 2.0]]", "[[0.5, -1.5], [0.5, 1.5]]"
+    )
+    page.until_text(moved)
+    page.drag(page.centre(".handle.way"), page.at(1.0, 2.0))
+    page.until_text(moved.replace("[0.5, 1.5]", "[1.0, 2.0]"))
+
+
 def test_the_camera_shows_what_is_in_front_of_it_and_how_far(page):
     before = page.image
     page.drag(page.centre(".camera"), page.at(-2.0, 2.0))
