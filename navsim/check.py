@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
@@ -122,6 +122,17 @@ def check_file(
     """
     file, content = read_file(path)
     return check_text(content, str(file), file.stem, equipment=equipment, solve=solve, progress=progress)
+
+
+def check_files(
+    paths: Iterable[str | os.PathLike[str]], *, solve: bool = False, progress: Progress = lambda items, total: items
+) -> Iterator[Report | WorldError]:
+    """A report for each of ``paths``, or why it cannot be read; see :func:`check_text`."""
+    for path in paths:
+        try:
+            yield check_file(path, solve=solve, progress=progress)
+        except WorldError as error:
+            yield error
 
 
 def check_text(

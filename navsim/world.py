@@ -12,7 +12,7 @@ import math
 import reprlib
 from collections.abc import Iterable, Mapping
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import (
@@ -54,16 +54,38 @@ Name = Annotated[str, Field(strict=True)]
 
 
 class _Settings(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+    if not TYPE_CHECKING:  # type checkers know a model's arguments better without it
+
+        def __init__(self, **settings: Any) -> None:
+            try:
+                super().__init__(**settings)
+            except ValidationError as error:
+                raise WorldError(_sentences(type(self), error, settings)) from None
+
+        # pydantic's own mark of an __init__ that only validates: without it, reading a file would run this one, too.
+        __init__.__pydantic_base_init__ = True
+
+    def replace(self, **changes: Any) -> Self:
+        """A copy with other values for some keys, checked.
+
+        >>> Box(at=(1, 0), size=(0.5, 0.5), height=0.8).replace(at=(2, 0)).at
+        (2.0, 0.0)
+
+        Raises:
+            WorldError: when the copy would break the rules of the format.
+        """
+        return type(self)(**{**{name: getattr(self, name) for name in type(self).model_fields}, **changes})
 
 
 class Walls(_Settings):
     """The four walls of the room; they stand outside its ``size``."""
 
     height: Length = 2.0
-    """Metres."""
+    """Height of the walls, metres."""
     thickness: Length = 0.1
-    """Metres."""
+    """How far they reach outwards from the room's edge, metres."""
 
 
 class Motion(_Settings):
@@ -156,15 +178,15 @@ class _Obstacle(_Settings):
     kind: ClassVar[str]
 
     name: Name = ""
-    """What the author calls it; in a :class:`World` it is ``"box 3"`` (kind and place in the file) when not given."""
+    """What the author calls it; ``"box 3"`` (kind and place in the list) when it is not given."""
     base: Elevation = 0.0
     """Height of the under side above the floor, metres."""
     height: Length
     """Extent above ``base``, metres."""
     motion: _AnyMotion | None = None
-    """Moves it, whatever stands in its way; None: it stands still."""
+    """Moves it, whatever stands in its way; without it, the obstacle stands still."""
     pushable: Pushable | None = None
-    """Lets it slide when it is pushed; None: nothing moves it."""
+    """Lets it slide when it is pushed; without it, nothing moves the obstacle."""
 
     @property
     def top(self) -> float:
@@ -178,11 +200,11 @@ class Box(_Obstacle):
     kind = "box"
 
     at: Point
-    """Centre of the footprint, metres."""
+    """Centre of the footprint: x and y, metres."""
     size: tuple[Length, Length]
     """Extents along its own x and y axes, metres."""
     yaw_deg: Degrees = 0.0
-    """Degrees, counter-clockwise."""
+    """How far it is turned, degrees, counter-clockwise."""
 
     def points_in_room(self) -> list[tuple[tuple[str | int, ...], Point]]:
         """The points that must lie in the room, each with the keys that lead to it."""
@@ -205,9 +227,9 @@ class Cylinder(_Obstacle):
     kind = "cylinder"
 
     at: Point
-    """Centre of the footprint, metres."""
+    """Centre of the footprint: x and y, metres."""
     radius: Length
-    """Metres."""
+    """Radius of the footprint, metres."""
 
     def points_in_room(self) -> list[tuple[tuple[str | int, ...], Point]]:
         """The points that must lie in the room, each with the keys that lead to it."""
@@ -224,7 +246,7 @@ class Polygon(_Obstacle):
     kind = "polygon"
 
     points: Annotated[tuple[Point, ...], Field(min_length=3)]
-    """Corners, metres, in either winding."""
+    """Corners of the footprint in order around it, either way, each as x and y, metres; edges do not cross."""
 
     @field_validator("points")
     @classmethod
@@ -278,14 +300,14 @@ def _point_as_settings(value: object) -> object:
 
 class _Place(_Settings):
     at: Point
-    """Metres."""
+    """Where it is: x and y, metres."""
 
 
 class Start(_Place):
     """Where an episode begins."""
 
     yaw_deg: Degrees | None = None
-    """Degrees, counter-clockwise from the x axis; None draws it each episode."""
+    """Where the robot faces, degrees, counter-clockwise from the x axis; without it, it is drawn each episode."""
 
 
 class Goal(_Place):
@@ -340,30 +362,36 @@ class _BrokenRulesError(ValueError):
 class World(_Settings):
     """A room with obstacles, starts and goals: a world file's content, checked.
 
-    Make one with :func:`navsim.load_world` or :meth:`from_dict`. Worlds are immutable, compare by content, hash
-    cheaply and pickle.
+    Read one with :func:`navsim.load_world` or :meth:`from_yaml`, or build one of its parts. Worlds are immutable,
+    compare by content, hash cheaply and pickle; what changes a world returns another one, which is checked as well.
 
-    >>> world = World.from_dict({
-    ...     "format": 1, "size": [4, 4], "starts": [[-1.5, 0]], "goals": [[1.5, 0]],
-    ...     "obstacles": [{"cylinder": {"at": [0, 0], "radius": 0.2, "height": 0.5}}],
-    ... })
+    >>> world = World(size=(4, 4), obstacles=[Cylinder(at=(0, 0), radius=0.2, height=0.5)],
+    ...               starts=[(-1.5, 0)], goals=[Goal(at=(1.5, 0))])
     >>> world
     World('world', 4 x 4 m, 2 m walls, 1 obstacle, 1 start, 1 goal)
     >>> [prism.name for prism in world.prisms]
     ['wall north', 'wall east', 'wall south', 'wall west', 'cylinder 1']
+    >>> world.add(Box(name="chest", at=(0, 1.5), size=(0.8, 0.5), height=0.8)).without("cylinder 1")
+    World('world', 4 x 4 m, 2 m walls, 1 obstacle, 1 start, 1 goal)
+
+    Raises:
+        WorldError: when it would break the rules of the format, with a sentence for every problem.
     """
 
-    format: int
+    format: int = FORMAT
+    """Version of the format; this library reads version 1. Files must say it."""
     name: Annotated[str, Field(strict=True, min_length=1)] = "world"
+    """What the world is called; a file's own name when it is not given."""
     size: tuple[Length, Length]
-    """Extents of the room along x and y, metres."""
+    """Extents of the room along x and y, metres; the origin is its centre."""
     walls: Walls | None = Walls()
-    """None leaves the floor open."""
+    """The four walls; ``none`` leaves the floor open."""
     obstacles: _Obstacles = ()
+    """What stands in the room, hangs over the floor or moves: a list with one shape an entry."""
     starts: _Starts = "random"
-    """Where episodes begin; ``"random"`` draws a place each episode."""
+    """Where episodes begin: a list of places, or ``random`` to draw one each episode."""
     goals: _Goals = "random"
-    """Where episodes are to end; ``"random"`` draws a place each episode."""
+    """Where episodes are to end: a list of places, or ``random`` to draw one each episode."""
 
     @field_validator("format", mode="before")
     @classmethod
@@ -414,6 +442,91 @@ class World(_Settings):
         if world is None:
             raise WorldError([str(problem) for problem in problems])
         return world
+
+    @classmethod
+    def from_yaml(cls, text: str) -> World:
+        """The world that the text of a world file describes.
+
+        Raises:
+            WorldError: with every problem of ``text``, each with its line and column.
+        """
+        from navsim.worldfile import parse_text
+
+        return parse_text(text)
+
+    def to_yaml(self) -> str:
+        """The text of a world file; :meth:`from_yaml` reads it back.
+
+        >>> print(World(name="hall", size=(4, 3), goals=[(1, 0)]).to_yaml())
+        format: 1
+        name: hall
+        size: [4.0, 3.0]
+        <BLANKLINE>
+        obstacles: []
+        starts: random
+        <BLANKLINE>
+        goals:
+          - [1.0, 0.0]
+        <BLANKLINE>
+        """
+        from navsim.worldfile import dump_world
+
+        return dump_world(self)
+
+    def add(self, *obstacles: Obstacle) -> Self:
+        """This world with more obstacles; those without a name get the first one that is free, such as ``"box 3"``.
+
+        Raises:
+            WorldError: when the new world would break the rules, because an obstacle covers a start, say.
+        """
+        taken = {obstacle.name for obstacle in self.obstacles} | {obstacle.name for obstacle in obstacles}
+        added: list[Obstacle] = []
+        for place, obstacle in enumerate(obstacles, len(self.obstacles)):
+            names = (_default_name(obstacle.kind, number) for number in itertools.count(place))
+            name = obstacle.name or next(name for name in names if name not in taken)
+            taken.add(name)
+            added.append(obstacle.replace(name=name))
+        return self.replace(obstacles=(*self.obstacles, *added))
+
+    def without(self, *names: str) -> Self:
+        """This world without the obstacles of these names.
+
+        Raises:
+            WorldError: when no obstacle has such a name.
+        """
+        for name in names:
+            self._obstacles_called(name)
+        return self.replace(obstacles=[obstacle for obstacle in self.obstacles if obstacle.name not in names])
+
+    def change(self, name: str, /, **changes: Any) -> Self:
+        """This world with other values for some keys of the obstacle that is called ``name``.
+
+        >>> world = World(size=(4, 4), obstacles=[Box(at=(1, 0), size=(0.5, 0.5), height=0.8)])
+        >>> world.change("box 1", at=(1, 1), yaw_deg=30).obstacles[0].at
+        (1.0, 1.0)
+
+        Raises:
+            WorldError: when no obstacle has that name, or the new world would break the rules.
+        """
+        changed = {id(obstacle): obstacle.replace(**changes) for obstacle in self._obstacles_called(name)}
+        return self.replace(obstacles=[changed.get(id(obstacle), obstacle) for obstacle in self.obstacles])
+
+    def _obstacles_called(self, name: str) -> list[Obstacle]:
+        found = [obstacle for obstacle in self.obstacles if obstacle.name == name]
+        if not found:
+            names = list(dict.fromkeys(obstacle.name for obstacle in self.obstacles))
+            meant = difflib.get_close_matches(str(name), names, n=1)
+            remedy = (
+                f"did you mean {meant[0]!r}?" if meant else f"there are {_shown(names)}" if names else "there are none"
+            )
+            raise WorldError([f"no obstacle is called {_shown(name)}; {remedy}"])
+        return found
+
+    def _repr_png_(self) -> bytes:
+        """How a notebook shows it: the plan view."""
+        from navsim.show import plan_png
+
+        return plan_png(self)
 
     def to_dict(self) -> dict[str, Any]:
         """What a world file holds, without the settings that equal their defaults; :meth:`from_dict` reads it."""
@@ -534,15 +647,31 @@ def parse_world(data: object, default_name: str = "world") -> tuple[World | None
     """
     if not isinstance(data, Mapping):
         return None, [Problem((), f"a world is a mapping with keys such as 'format', not {_shown(data)}")]
+    lacking = [] if "format" in data else [{"type": "missing", "loc": ("format",), "input": data}]
     try:
-        return World.model_validate({"name": default_name, **data}), []
+        world = World.model_validate({"name": default_name, **data})
     except ValidationError as error:
         details = error.errors(include_url=False)
+    else:
+        return (None, _worded(lacking, data)) if lacking else (world, [])
     broken = details[0].get("ctx", {}).get("error")
     if isinstance(broken, _BrokenRulesError):
-        return None, broken.problems
-    problems = _worded(details, data)
+        return None, [*_worded(lacking, data), *broken.problems]
+    problems = _worded([*lacking, *details], data)
     return None, problems + _rules_broken_by_the_rest(data, problems)
+
+
+def _sentences(model: type[_Settings], error: ValidationError, settings: Mapping[str, Any]) -> list[str]:
+    """What is wrong with the arguments of a model, as for a world file that holds them."""
+    details = error.errors(include_url=False)
+    broken = details[0].get("ctx", {}).get("error")
+    if isinstance(broken, _BrokenRulesError):
+        return [str(problem) for problem in broken.problems]
+    if issubclass(model, World):
+        return [str(problem) for problem in _worded(details, settings)]
+    name = model.__name__.lower()
+    inside = [{**detail, "loc": (name, *detail["loc"])} for detail in details]
+    return [str(problem) for problem in _worded(inside, {name: settings})]
 
 
 def _rules_broken_by_the_rest(data: Mapping[str, Any], problems: list[Problem]) -> list[Problem]:
@@ -597,6 +726,7 @@ def _plain(settings: BaseModel, without_name: bool = False) -> dict[str, Any]:
 _EXAMPLES = {
     "format": "1",
     "size": "[7.0, 7.0]",
+    "box.size": "[0.6, 0.4]",
     "walls": "{height: 2.0, thickness: 0.1}",
     "at": "[0.0, 0.0]",
     "height": "0.5",
@@ -645,7 +775,8 @@ def _word(where: tuple[str | int, ...], detail: Mapping[str, Any]) -> Problem:
         key = detail["loc"][-1]
         if isinstance(key, int):
             return Problem(where, f"must be two numbers, not {_shown(value)}")
-        return Problem(where, f"key '{key}' is missing; add '{key}: {_EXAMPLES[key]}'")
+        fitting = _EXAMPLES.get(f"{where[-1]}.{key}" if where else key, _EXAMPLES[key])
+        return Problem(where, f"key '{key}' is missing; add '{key}: {fitting}'")
     if kind == "extra_forbidden":
         known = _known_keys(where[:-1], detail["loc"])
         meant = _nearest(where[-1], known)
@@ -724,7 +855,10 @@ def _known_keys(where: tuple[str | int, ...], location: tuple[str | int, ...] = 
         "polygon": Polygon,
         "walls": Walls,
         "starts": Start,
+        "start": Start,
         "goals": Goal,
+        "goal": Goal,
+        "swing": Swing,
         "motion": Swing if "a swing" in location else Motion,
         "pushable": Pushable,
     }

@@ -4,8 +4,9 @@ What takes long to import is imported where it is used: ``navsim --help`` answer
 here, because tyro reads them.
 """
 
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from tyro.conf import FlagCreatePairsOff, Positional, arg
 from tyro.extras import SubcommandApp
@@ -16,22 +17,69 @@ world_commands = SubcommandApp()
 
 
 @world_commands.command
-def check(files: Positional[tuple[str, ...]] = ()) -> None:
-    """Say whether world files keep the rules, and everything that is wrong with those that do not.
+def check(
+    files: Positional[tuple[str, ...]] = (),
+    strict: FlagCreatePairsOff[bool] = False,
+    solve: FlagCreatePairsOff[bool] = False,
+    paths: FlagCreatePairsOff[bool] = False,
+    json: FlagCreatePairsOff[bool] = False,
+) -> None:
+    """Say everything that is wrong or odd about world files, with its place, and what the rooms are like.
+
+    The exit status is 0, or 2 if a file breaks the rules, or 1 with --strict if one is only odd.
 
     Args:
         files: World files, or names of shipped worlds; all of the latter if there is none.
+        strict: Let warnings fail.
+        solve: Have the planning oracle, which knows the map, drive every path, and warn of those it cannot. It takes
+            about a second a path.
+        paths: Print each path's length and narrowest passage as well. That passage is the narrowest one on the widest
+            way from start to goal, which need not be the shortest way.
+        json: Print one JSON document instead, with a report for each file.
     """
-    from navsim import WorldError, load_world, shipped_worlds
+    from rich.console import Console
+    from rich.progress import track
 
-    problems: list[str] = []
-    for file in files or shipped_worlds():
-        try:
-            print(f"{file}: {load_world(file)}")
-        except WorldError as error:
-            problems += error.problems
-    if problems:
-        raise WorldError(problems)
+    from navsim import shipped_worlds
+    from navsim.check import check_files
+    from navsim.diagnostics import print_reports
+
+    errors = Console(stderr=True, highlight=False)
+
+    def progress(items: Iterable[Any], total: int) -> Iterable[Any]:
+        return track(items, "solving", total=total, console=errors, transient=True)
+
+    reports = check_files(files or shipped_worlds(), solve=solve, progress=progress)
+    status = print_reports(reports, Console(highlight=False), errors, paths=paths, json=json, strict=strict)
+    if status:
+        raise SystemExit(status)
+
+
+@world_commands.command
+def schema(
+    output: Annotated[
+        Path | None, arg(aliases=["-o"], metavar="FILE", help_behavior_hint="(default: print it)")
+    ] = None,
+    markdown: FlagCreatePairsOff[bool] = False,
+) -> None:
+    """Print the world file format as JSON Schema, which gives completion and hover in an editor.
+
+    With the YAML extension of VS Code, write "# yaml-language-server: $schema=world.schema.json" into the first line of
+    a world file, after "navsim world schema -o world.schema.json" beside it.
+
+    Args:
+        output: File to write instead.
+        markdown: The format as a reference page in Markdown.
+    """
+    from navsim.schema import reference, schema_text
+    from navsim.worldfile import write_atomically
+
+    text = reference() if markdown else schema_text()
+    if output is None:
+        print(text, end="")
+    else:
+        write_atomically(output, text)
+        print(output)
 
 
 @world_commands.command

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import difflib
 import hashlib
 import os
 import re
-import stat
-import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
 from navsim.errors import WorldError
-from navsim.worldfile import SHIPPED_WORLDS_DIRECTORY, shipped_worlds
+from navsim.worldfile import SHIPPED_WORLDS_DIRECTORY, shipped_worlds, write_atomically
 
 LARGEST_TEXT = 4 * 2**20
 """Bytes of a file that the editor opens."""
@@ -97,7 +94,7 @@ class EditedFile:
         return FileState(_BREAK.sub("\n", _decoded(content, self.path)), _stamp(content))
 
     def save(self, text: str, stamp: str) -> FileState:
-        """Writes ``text``: to a temporary file beside this one, which then takes its name, permissions and owner.
+        """Writes ``text``: to a temporary file beside this one, which then takes its name and permissions.
 
         Lines that are as they were keep their line breaks, and a byte order mark stays.
 
@@ -114,9 +111,9 @@ class EditedFile:
         if now != stamp:
             what = "has been changed by another program" if content is not None else "has been deleted"
             raise ChangedOnDiskError(f"{self.path} {what} since it was read", self.state())
-        new = _with_breaks_of(_decoded_loosely(content), text).encode()
-        _replace(self.path.resolve(), new)
-        return FileState(text, _stamp(new))
+        new = _with_breaks_of(_decoded_loosely(content), text)
+        write_atomically(self.path, new)
+        return FileState(text, _stamp(new.encode()))
 
     def _content(self) -> bytes | None:
         try:
@@ -179,27 +176,3 @@ def _with_breaks_of(old: str, text: str) -> str:
             if block.a + i < len(breaks):
                 chosen[block.b + i] = breaks[block.a + i]
     return mark + "".join(line + end for line, end in zip(after, [*chosen[: len(after) - 1], ""], strict=True))
-
-
-def _replace(path: Path, content: bytes) -> None:
-    """Gives ``path`` the bytes ``content`` all at once."""
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-            try:
-                before = path.stat()
-            except FileNotFoundError:
-                mask = os.umask(0)
-                os.umask(mask)
-                os.chmod(name, 0o666 & ~mask)
-            else:
-                with contextlib.suppress(PermissionError):  # only root may give a file away
-                    os.chown(name, before.st_uid, before.st_gid)
-                os.chmod(name, stat.S_IMODE(before.st_mode))
-        os.replace(name, path)
-    except BaseException:
-        os.unlink(name)
-        raise

@@ -296,6 +296,27 @@ def test_an_entry_is_added_in_the_style_of_its_neighbours():
     )
 
 
+def test_comments_beside_what_is_taken_away_stay():
+    compact = ROOM + "starts:\n  - yaw_deg: 30\n    # the middle\n    at: [0, 0]\n"
+    assert set_in(compact, ["starts", 0], yaw_deg=None) == compact.replace("- yaw_deg: 30", "-")
+    brackets = ROOM + "goals: [\n  [1, 1],  # door, one\n  [2, 2]  # window, two\n]\n"
+    first, second = (patched(brackets, [{"op": "remove", "where": ["goals", i]}]) for i in (0, 1))
+    assert meaning(first)["goals"] == [[2.0, 2.0]]
+    assert meaning(second)["goals"] == [[1.0, 1.0]]
+    assert all("# door, one" in text and "# window, two" in text for text in (first, second))
+    dashes = ROOM + "goals:\n  - [1, 1]\n  # the door - left\n  -  # far\n    [2, 2]\n"
+    assert patched(dashes, [{"op": "remove", "where": ["goals", 1]}]) == dashes.replace("  -  # far\n    [2, 2]\n", "")
+    commas = ROOM + "goals: [[1, 1]  # here, there\n  , [2, 2]]\n"
+    assert "# here, there" in patched(commas, [{"op": "remove", "where": ["goals", 1]}])
+
+
+def test_comments_inside_what_is_written_anew_move_behind_it():
+    block = ROOM + "starts:\n  - - 1  # east\n    - 2  # north\n"
+    assert set_in(block, ["starts", 0], yaw_deg=90) == (
+        ROOM + "starts:\n  - {at: [1, 2], yaw_deg: 90}  # north  # east\n"
+    )
+
+
 def test_a_corner_is_added_and_taken_away_in_place():
     text = (
         ROOM
