@@ -49,6 +49,7 @@ def _scene(reading: Reading, world: World) -> dict[str, Any]:
         "name": world.name,
         "size": list(world.size),
         "walls": None if world.walls is None else world.walls.model_dump(mode="json"),
+        "walls_given": said["walls"] if isinstance(said.get("walls"), dict) else {},
         "obstacles": [],
     }
     for i, obstacle in enumerate(world.obstacles):

@@ -11,7 +11,9 @@ import hashlib
 import hmac
 import json
 import math
+import os
 import secrets
+import sys
 import threading
 import webbrowser
 from collections import OrderedDict
@@ -64,7 +66,7 @@ def edit(file: EditedFile, port: int = 0, open_browser: bool = True) -> None:
     Args:
         file: what is edited.
         port: of localhost; 0 takes a free one.
-        open_browser: show the page in the user's browser.
+        open_browser: show the page in the user's browser, where there is a screen.
 
     Raises:
         WorldError: if the port is taken.
@@ -79,12 +81,17 @@ def edit(file: EditedFile, port: int = 0, open_browser: bool = True) -> None:
     with server:
         new = "" if file.path.exists() else " (new: it is written when you save)"
         print(f"editing {file.path}{new} at\n  {server.url}\nCtrl-C ends", flush=True)
-        if open_browser:
+        if open_browser and _has_screen():
             threading.Thread(target=webbrowser.open, args=(server.url,), daemon=True).start()
         try:
             server.serve_forever()
         except KeyboardInterrupt:
             print()
+
+
+def _has_screen() -> bool:
+    """Whether a browser would have a window; one in the terminal would take the terminal over."""
+    return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 class EditorServer(ThreadingHTTPServer):

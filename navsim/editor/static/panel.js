@@ -92,8 +92,8 @@ export class Panel {
       this.row("name", this.word("name", scene.name, "the file's name", (name) => set({ name: name || null }))),
       this.pair("size", "size", scene.size, (size) => set({ size }), { min: 0, step: 0.5 }),
       this.row("walls", box, ...(walls ? [
-        this.number("wall-height", walls.height, "m high", (height) => set({ walls: { ...walls, height } }), { min: 0, step: 0.1 }),
-        this.number("wall-thickness", walls.thickness, "m thick", (thickness) => set({ walls: { ...walls, thickness } }), { min: 0, step: 0.05 }),
+        this.number("wall-height", walls.height, "m high", (height) => set({ walls: { ...scene.walls_given, height } }), { min: 0, step: 0.1 }),
+        this.number("wall-thickness", walls.thickness, "m thick", (thickness) => set({ walls: { ...scene.walls_given, thickness } }), { min: 0, step: 0.05 }),
       ] : [])),
       this.row("obstacles", count("obstacles")),
       this.row("starts", count("starts")),

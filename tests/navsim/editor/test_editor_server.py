@@ -373,6 +373,7 @@ def test_the_address_is_printed_the_browser_opened_and_ctrl_c_ends_it(room, caps
         assert opened.wait(10)
         raise KeyboardInterrupt
 
+    monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setattr(server_module.webbrowser, "open", open_page)
     monkeypatch.setattr(EditorServer, "serve_forever", wait_for_the_browser)
     edit(EditedFile(room))
