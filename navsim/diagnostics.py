@@ -13,7 +13,7 @@ from rich.text import Text
 
 from navsim.check import PathSummary, Report, Summary
 from navsim.errors import Finding, WorldError
-from navsim.passages import WIDEST_GAP, Passage
+from navsim.passages import Passage
 from navsim.worldfile import text_lines
 
 _STYLES = {"error": "bold red", "warning": "bold yellow"}
@@ -128,16 +128,18 @@ def print_summary(report: Report, console: Console, paths: bool = False) -> None
 
 def _floor(summary: Summary) -> str:
     kinds = ", ".join(_counted(count, kind) for kind, count in summary.obstacles.items())
-    of = f" by {kinds}" if kinds else ""
-    return f"{summary.area:.4g} m², {summary.density:.1%} covered{of}"
+    covered = f"{summary.density:.1%} covered by {kinds}" if kinds else "nothing on it"
+    return f"{summary.area:.4g} m², {covered}"
 
 
 def _narrowest(paths: Sequence[PathSummary]) -> str:
     if not paths:
         return ""
     path = min(paths, key=lambda path: path.passage.width)
-    where = "" if math.isinf(path.passage.width) else f" {_between(path.passage)}"
-    return f"{_width(path.passage)} at the narrowest of the widest ways{where}, from starts[{path.start}] to goals[{path.goal}]"
+    if math.isinf(path.passage.width):
+        return "nothing narrows the ways"
+    where = f"{_between(path.passage)}, from starts[{path.start}] to goals[{path.goal}]"
+    return f"{path.passage.width:.2f} m at the narrowest {where} (on the widest way)"
 
 
 def _lengths(paths: Sequence[PathSummary], goal_radius: float) -> str:
@@ -145,11 +147,8 @@ def _lengths(paths: Sequence[PathSummary], goal_radius: float) -> str:
         return ""
     lengths = [path.length for path in paths]
     mean = sum(lengths) / len(lengths)
-    return f"{len(paths)}, of {min(lengths):.2f} to {max(lengths):.2f} m, {mean:.2f} m on average, to {goal_radius:g} m from the goal"
-
-
-def _width(passage: Passage) -> str:
-    return f"{passage.width:.2f} m" if math.isfinite(passage.width) else f"over {WIDEST_GAP:g} m"
+    spread = f"{min(lengths):.2f} to {max(lengths):.2f} m, {mean:.2f} m on average"
+    return f"{len(paths)}: {spread} (to {goal_radius:g} m from the goal)"
 
 
 def _between(passage: Passage) -> str:
@@ -158,19 +157,19 @@ def _between(passage: Passage) -> str:
 
 
 def _table(paths: Sequence[PathSummary], goal_radius: float) -> Table:
-    table = Table(
-        caption=f"shortest: to {goal_radius:g} m from the goal; narrowest: on the widest way", caption_justify="left"
-    )
-    for heading in ("start", "goal", "shortest, m", "narrowest, m"):
+    table = Table()
+    for heading in (
+        "start",
+        "goal",
+        f"shortest way, m,\nto {goal_radius:g} m from the goal",
+        "narrowest of the\nwidest way, m",
+    ):
         table.add_column(heading, justify="right")
     table.add_column("between")
     for path in paths:
-        passage = path.passage
-        is_known = math.isfinite(passage.width)
-        width = f"{passage.width:.2f}" if is_known else f">{WIDEST_GAP:g}"
-        table.add_row(
-            str(path.start), str(path.goal), f"{path.length:.2f}", width, " – ".join(passage.sides) if is_known else ""
-        )
+        width, sides = path.passage
+        passage = (f"{width:.2f}", " – ".join(sides)) if math.isfinite(width) else ("wide open", "")
+        table.add_row(str(path.start), str(path.goal), f"{path.length:.2f}", *passage)
     return table
 
 

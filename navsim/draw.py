@@ -37,6 +37,7 @@ from matplotlib.patches import Circle, FancyArrowPatch, Patch, Rectangle
 from matplotlib.patches import Polygon as PolygonPatch
 
 from navsim.camera import DepthCamera
+from navsim.polygon import signed_area
 from navsim.robot import TURTLEBOT2, Robot
 from navsim.scan import metres
 from navsim.world import Box, Cylinder, Obstacle, Polygon, Start, World
@@ -137,11 +138,8 @@ def draw_world(
         obstacle = world.obstacles[index]
         colour = HEIGHT_COLOURS(heights(obstacle.top))
         axes.add_patch(_obstacle_patch(obstacle, colour, kinds[index]))
-        if names:
-            x, y = _middle(obstacle)
-            text = axes.text(x, y, obstacle.name, fontsize=6.5, ha="center", va="center", color=INK, zorder=6)
-            text.set_path_effects([patheffects.withStroke(linewidth=2.0, foreground="white")])
-
+    if names:
+        _draw_names(axes, world)
     if starts and not isinstance(world.starts, str):
         _draw_starts(axes, world.starts, robot)
     if goals and not isinstance(world.goals, str):
@@ -170,6 +168,53 @@ def draw_world(
                 frameon=False,
                 labelcolor=INK,
             )
+
+
+_NAME_SIZE = 6.5  # points
+_ASIDE = tuple(_NAME_SIZE * np.array([(x, y) for y in (0, 1.3, -1.3, 2.6, -2.6) for x in (0, 2.5, -2.5)]))
+"""Where a name may go instead of on the middle of its obstacle, points, in the order in which they are tried."""
+
+
+def _draw_names(axes: Axes, world: World) -> None:
+    """Writes each obstacle's name on it, or beside it where another name is in the way; large obstacles come first."""
+    room = axes.get_window_extent()
+    points = 72.0 / axes.figure.dpi * float(min((room.width, room.height) / world.half_size)) / 2.0
+    taken: list[tuple[float, float, float, float]] = []
+    for obstacle in sorted(world.obstacles, key=_spread, reverse=True):
+        middle = _middle(obstacle)
+        half = 0.5 * _NAME_SIZE * np.array([0.58 * len(obstacle.name), 1.15])
+        places = [(middle * points + aside, aside) for aside in _ASIDE]
+        boxes = [((*(place - half), *(place + half)), aside) for place, aside in places]
+        box, aside = min(boxes, key=lambda box: _overlap(box[0], taken))
+        taken.append(box)
+        text = axes.annotate(
+            obstacle.name,
+            (float(middle[0]), float(middle[1])),
+            xytext=aside,
+            textcoords="offset points",
+            fontsize=_NAME_SIZE,
+            ha="center",
+            va="center",
+            color=INK,
+            zorder=6,
+            annotation_clip=False,
+        )
+        text.set_path_effects([patheffects.withStroke(linewidth=2.0, foreground="white")])
+
+
+def _spread(obstacle: Obstacle) -> float:
+    """Extent of the footprint, metres."""
+    return max(float(np.ptp(vertices, axis=0).max()) + 2.0 * radius for vertices, radius in obstacle.footprints())
+
+
+def _overlap(box: tuple[float, float, float, float], others: Sequence[tuple[float, float, float, float]]) -> float:
+    """Area that a box (least x, least y, greatest x, greatest y) shares with others."""
+    if not others:
+        return 0.0
+    low_x, low_y, high_x, high_y = np.array(others).T
+    width = np.minimum(box[2], high_x) - np.maximum(box[0], low_x)
+    height = np.minimum(box[3], high_y) - np.maximum(box[1], low_y)
+    return float((np.maximum(width, 0.0) * np.maximum(height, 0.0)).sum())
 
 
 def draw_scale(axes: Axes, mappable: ScalarMappable, label: str) -> None:
@@ -214,7 +259,13 @@ def _corners(obstacle: Box | Polygon) -> np.ndarray:
 
 
 def _middle(obstacle: Obstacle) -> np.ndarray:
-    return _corners(obstacle).mean(axis=0) if isinstance(obstacle, Polygon) else np.asarray(obstacle.at)
+    """A point on the footprint, near its middle: a concave polygon's own may lie outside."""
+    if not isinstance(obstacle, Polygon):
+        return np.asarray(obstacle.at)
+    largest = max(
+        (vertices for vertices, _ in obstacle.footprints()), key=lambda vertices: signed_area(vertices.tolist())
+    )
+    return largest.mean(axis=0)
 
 
 def _draw_starts(axes: Axes, starts: Sequence[Start], robot: Robot) -> None:

@@ -335,7 +335,10 @@ class _Document:
     def _located(self, problem: Problem) -> _Located:
         mark, data, is_key = self._start, self.data, False
         for depth, part in enumerate(problem.where):
-            mark = self._marks[id(data)][part]
+            try:
+                mark = self._marks[id(data)][part]
+            except KeyError:  # left out in the file: what it lies in is at fault
+                break
             if isinstance(data, dict):
                 is_key = problem.at_key and depth == len(problem.where) - 1
                 mark = mark[0] if is_key else mark[1]

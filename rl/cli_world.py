@@ -88,19 +88,26 @@ def show(
     output: Annotated[
         Path | None, arg(aliases=["-o"], metavar="FILE", help_behavior_hint="(default: WORLD.png, here)")
     ] = None,
+    names: bool = True,
+    camera: Annotated[str | None, arg(metavar="X,Y,YAW", help_behavior_hint="(optional)")] = None,
 ) -> None:
     """Draw a world from above, with the shortest path between every start and goal.
+
+    Obstacles are coloured by height; what is lower than the camera and what the robot passes under is hatched.
 
     Args:
         file: World file, or name of a shipped world.
         output: Picture to write, in the format that its suffix says: .png, .svg, .pdf.
+        names: Write the obstacles' names on them.
+        camera: Draw beside it what a robot sees there: x and y in metres, yaw in degrees, such as 1,-2.5,90.
     """
     from navsim import load_world
-    from navsim.show import save_plan_view
+    from navsim.show import parse_pose, save_plan_view
 
     world = load_world(file)
+    pose = None if camera is None else parse_pose(camera)
     with busy("drawing"):
-        path = save_plan_view(world, output or Path(f"{world.name}.png"))
+        path = save_plan_view(world, output or Path(f"{world.name}.png"), names=names, pose=pose)
     print(path)
 
 
