@@ -39,7 +39,7 @@ class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[mi
 
 
 def _quoted_where_needed(dumper: Any, text: str) -> Any:
-    is_plain = text.isprintable() and isinstance(_resolved(text), str)
+    is_plain = text.isprintable() and isinstance(plain_scalar(text), str)
     return dumper.represent_scalar(_TAG + "str", text, style=None if is_plain else '"')
 
 
@@ -452,7 +452,7 @@ class _Document:
     def _read_scalar(self, event: Any) -> object:
         tag = event.tag
         if (tag is None and event.implicit[0]) or tag in _RESOLVED_TAGS:
-            return _resolved(event.value)
+            return plain_scalar(event.value)
         if tag in (None, "!", _TAG + "str"):
             return event.value
         return self._refuse_tag(event)
@@ -489,7 +489,7 @@ def _is_blank(event: Any) -> bool:
     return isinstance(event, yaml.ScalarEvent) and not event.value and event.implicit[0] and event.anchor is None
 
 
-def _resolved(text: str) -> object:
+def plain_scalar(text: str) -> object:
     """A plain scalar's value by the core schema of YAML 1.2, without its octal and hexadecimal numbers."""
     if _FLOAT.fullmatch(text):
         is_small_integer = len(text) < 19 and _INTEGER.fullmatch(text)

@@ -200,7 +200,7 @@ def report(run: Positional[Path]) -> None:
     print(path)
 
 
-_navsim.command(world_commands, name="world", help="Check, draw, import and export world files.")
+_navsim.command(world_commands, name="world", help="Check, draw, edit, generate, import and export world files.")
 _navsim.command(_bench, name="bench", help="Measure how fast this machine simulates and learns.")
 
 

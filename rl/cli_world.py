@@ -112,6 +112,29 @@ def show(
 
 
 @world_commands.command
+def edit(
+    file: Positional[str],
+    like: Annotated[str | None, arg(metavar="WORLD", help_behavior_hint="(default: a small template)")] = None,
+    port: Annotated[int, arg(help_behavior_hint="(default: a free one)")] = 0,
+    no_browser: FlagCreatePairsOff[bool] = False,
+) -> None:
+    """Edit a world file in the browser: the plan, what the robot sees, and the text, each of which changes the others.
+
+    The page is served on this machine only, until Ctrl-C. The text keeps its comments and its order.
+
+    Args:
+        file: World file; a new one if it does not exist.
+        like: World file, or name of a shipped world, that a new file begins as a copy of.
+        port: Port of localhost.
+        no_browser: Print the address of the page without opening it.
+    """
+    from navsim.editor.file import EditedFile
+    from navsim.editor.server import edit as serve
+
+    serve(EditedFile(file, like), port=port, open_browser=not no_browser)
+
+
+@world_commands.command
 def generate(
     kind: Literal["clutter", "blocks", "corridors", "office", "warehouse", "forest"] = "clutter",
     size: Annotated[str, arg(metavar="X,Y")] = "7,7",
