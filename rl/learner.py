@@ -8,12 +8,13 @@ from typing import Any
 import torch
 from tensordict import TensorDictBase
 from torchrl.modules import QValueActor
-from torchrl.objectives import HardUpdate, SoftUpdate
+from torchrl.objectives import HardUpdate
 
 from rl.categorical import CategoricalD3QNLoss, make_categorical_actor
 from rl.config import TrainConfig
 from rl.loss import D3QNLoss, fastest_autocast
 from rl.networks import make_q_actor
+from rl.optimiser import ClippedAdam, SoftUpdateAtOnce
 
 
 class Learner:
@@ -28,13 +29,13 @@ class Learner:
         self.actor = make_actor(config)
         self.loss = make_loss(self.actor, config)
         if config.target_update == "soft":
-            self.target_updater = SoftUpdate(self.loss, tau=config.tau)
+            self.target_updater = SoftUpdateAtOnce(self.loss, tau=config.tau)
         else:
             # HardUpdate copies once its counter, which the copying call does not raise, has reached this number.
             interval = config.hard_update_interval - 1
             self.target_updater = HardUpdate(self.loss, value_network_update_interval=interval)
         self.parameters = [parameter for parameter in self.loss.parameters() if parameter.requires_grad]
-        self.optimiser = torch.optim.Adam(self.parameters, lr=config.learning_rate, fused=True)
+        self.optimiser = ClippedAdam(self.parameters, config.learning_rate, config.max_grad_norm)
         self.updates = 0
 
     def updates_due(self, step: int) -> int:
@@ -62,8 +63,6 @@ class Learner:
             group["lr"] = self.learning_rate
         loss = self.loss(sample)["loss"]
         loss.backward()
-        if self.config.max_grad_norm is not None:
-            torch.nn.utils.clip_grad_norm_(self.parameters, self.config.max_grad_norm)
         self.optimiser.step()
         self.optimiser.zero_grad()
         self.target_updater.step()
