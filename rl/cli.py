@@ -13,7 +13,7 @@ import traceback
 from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import tyro
 from rich.console import Console
@@ -200,15 +200,53 @@ def bench_env(world: str = "complex_train") -> None:
 
 
 @_bench.command(name="learner")
-def bench_learner(num_threads: int = 1) -> None:
+def bench_learner(
+    num_threads: int = 1, peers: FlagCreatePairsOff[bool] = False, height: int = 64, width: int = 80
+) -> None:
     """Updates a second of the learner, beside TorchRL's own loss and the processor's limit.
 
     Args:
         num_threads: CPU threads.
+        peers: Measure Stable-Baselines3's DQN with the same layers as well.
+        height: Pixels of an image.
+        width: Pixels of an image.
     """
     from rl.bench_learner import run
 
-    run(Console(), num_threads=num_threads)
+    run(Console(), num_threads=num_threads, peers=peers, height=height, width=width)
+
+
+@_bench.command(name="replay")
+def bench_replay(peers: FlagCreatePairsOff[bool] = False, capacity: int = 50_000) -> None:
+    """Memory and time of the replay, beside TorchRL's own ways to store stacks of images.
+
+    Args:
+        peers: Measure Stable-Baselines3's ReplayBuffer as well.
+        capacity: Transitions that each replay holds.
+    """
+    from rl.bench_replay import run
+
+    run(Console(), peers=peers, capacity=capacity)
+
+
+@_bench.command(name="train")
+def bench_train(
+    steps: int = 400_000,
+    exact: FlagCreatePairsOff[bool] = False,
+    collector: Annotated[Literal["both", "sync", "async"], arg(help="Kinds of collector to measure.")] = "both",
+    out: Annotated[Path, arg(metavar="FILE")] = Path("bench_train.json"),
+) -> None:
+    """Seconds in each part of a whole training at the thesis's volume, and memory, with collectors of both kinds.
+
+    Args:
+        steps: Transitions in all; with fewer than the thesis's 400,000, its time is extrapolated from the steady rate.
+        exact: Batches of 8 and an update a transition, as in the thesis, in place of 64 and an update every 8.
+        out: JSON file; what it holds already, measured with the same settings, is not measured again.
+    """
+    from rl.bench_train import run
+
+    kinds = ("sync", "async") if collector == "both" else (collector,)
+    run(Console(), steps=steps, exact=exact, collectors=kinds, out=out)
 
 
 _Part = TypeVar("_Part")

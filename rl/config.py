@@ -56,6 +56,10 @@ class Collection:
     """Transitions collected for each gradient step."""
     warmup_steps: int = 5_000
     """Transitions collected before the first gradient step."""
+    collector: Literal["sync", "async"] = "sync"
+    """Whether collecting and learning take turns, bit-reproducibly, or run at once in two processes."""
+    steps_per_handover: int = 64
+    """Transitions between two handovers of the network to an asynchronous collector, or from a GPU."""
 
 
 @dataclass(frozen=True)
@@ -110,8 +114,10 @@ class Learning:
     """Gradient steps between two hard copies."""
     autocast: Literal["auto", "float32", "bfloat16"] = "auto"
     """Number format of the networks' multiplications; "auto" measures which is faster here."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where the learner's networks are; robots are simulated, and their policy evaluated, on the CPU."""
     num_threads: int = 2
-    """CPU threads for the networks."""
+    """CPU threads for the learner's networks; an asynchronous collector has one of its own."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +157,8 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
     def _problems(self):
         positive = (
             "total_steps num_envs steps_per_batch steps_per_update n_step batch_size replay_capacity learning_rate"
-            " hard_update_interval epsilon_steps eval_interval log_interval checkpoint_interval num_threads"
+            " hard_update_interval steps_per_handover epsilon_steps eval_interval log_interval checkpoint_interval"
+            " num_threads"
         )
         for name in positive.split():
             value = getattr(self, name)

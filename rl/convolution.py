@@ -57,7 +57,7 @@ def patches(images: Tensor, geometry: Geometry, dtype: torch.dtype) -> Tensor:
 
 
 def sum_patches(values: Tensor, geometry: Geometry, size: tuple[int, int, int, int]) -> Tensor:
-    """The transpose of ``patches``: images ``size`` ``(B, H, W, C)`` whose pixels are the sums of what lay over them."""
+    """The transpose of ``patches``: images of ``size`` ``(B, H, W, C)``; a pixel sums what lay over it."""
     batch, rows, columns, channels = size
     (height, width), stride = geometry.kernel, geometry.stride
     padded = values.new_zeros(batch, rows + sum(geometry.rows), columns + sum(geometry.columns), channels)
@@ -77,9 +77,9 @@ def sum_patches(values: Tensor, geometry: Geometry, size: tuple[int, int, int, i
 
 
 class Convolution(torch.autograd.Function):
-    """A convolution with products of matrices for its gradients: ``(B, O, H', W')``, the channels last.
+    """A convolution, ``(B, O, H', W')``, with products of matrices for its gradients.
 
-    Arguments are images ``(B, C, H, W)``, best with the channels last, weight ``(O, C, height, width)``, bias, geometry.
+    Arguments: images ``(B, C, H, W)``, best with the channels last, weight ``(O, C, height, width)``, bias, geometry.
     """
 
     @staticmethod

@@ -257,7 +257,7 @@ class D3QN(nn.Module):
 
 
 class _Streams(torch.autograd.Function):
-    """``weight @ rows.T + bias``, where gradients flow through the first rows only, and the others come for the ride."""
+    """``weight @ rows.T + bias``, with gradients through the first rows only; the others come for the ride."""
 
     @staticmethod
     def forward(ctx: Any, features: Tensor, passengers: Tensor | None, weight: Tensor, bias: Tensor) -> Tensor:

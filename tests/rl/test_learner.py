@@ -126,3 +126,24 @@ def test_steps_are_those_of_pytorch_on_clipped_gradients(max_grad_norm):
     torch.testing.assert_close(target(learner), target(plain), rtol=1e-5, atol=1e-7)
     for ours, theirs in zip(learner.optimiser.state.values(), optimiser.state.values(), strict=True):
         torch.testing.assert_close(ours["exp_avg"], theirs["exp_avg"], rtol=1e-3, atol=1e-7)
+
+
+def test_a_device_that_is_not_there_is_refused(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(ValueError, match="--device cuda: PyTorch finds no such device here; use --device cpu"):
+        Learner(replace(CONFIG, device="cuda"))
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_a_learner_on_a_gpu_learns_what_one_on_the_cpu_does():
+    torch.manual_seed(0)
+    config = replace(CONFIG, autocast="float32")
+    cpu, gpu = Learner(config), Learner(replace(config, device="cuda"))
+    gpu.load_state_dict(deepcopy(cpu.state_dict()))
+    for seed in range(3):
+        one, other = sample(seed), sample(seed)
+        torch.testing.assert_close(gpu.update(other).cpu(), cpu.update(one), rtol=1e-3, atol=1e-4)
+        torch.testing.assert_close(other["td_error"], one["td_error"], rtol=1e-2, atol=1e-3)
+    gpu.hand_over()
+    for name, weight in cpu.actor.state_dict().items():
+        torch.testing.assert_close(gpu.actor.state_dict()[name], weight, rtol=1e-2, atol=1e-3)
