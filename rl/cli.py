@@ -249,6 +249,26 @@ def bench_train(
     run(Console(), steps=steps, exact=exact, collectors=kinds, out=out)
 
 
+@_bench.command(name="learning")
+def bench_learning(
+    steps: int = 100_000,
+    seeds: int = 3,
+    runs: Annotated[Path, arg(metavar="DIR")] = Path("runs/compare_training"),
+    out: Annotated[Path, arg(metavar="FILE")] = Path("docs/results/compare_training.json"),
+) -> None:
+    """Train with each collector and number format, and compare what they learn. Interrupted: run it again.
+
+    Args:
+        steps: Transitions in each run.
+        seeds: Runs with each setting.
+        runs: Directory for the runs; finished ones are not repeated.
+        out: JSON file for the results, written after each run.
+    """
+    from rl.bench_learning import run
+
+    run(Console(), out=out, runs=runs, seeds=range(seeds), steps=steps)
+
+
 _Part = TypeVar("_Part")
 
 
