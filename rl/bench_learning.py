@@ -71,7 +71,6 @@ def run(
                 **{
                     "collector": setting.collector,
                     "autocast": setting.number_format,
-                    "num_threads": 1 if setting.collector == "async" else 2,
                     "seed": seed,
                     "total_steps": steps,
                     "eval_interval": max(1, steps // 4),

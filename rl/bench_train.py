@@ -28,7 +28,7 @@ _SAMPLE_SECONDS = 1.0
 PARTS = ("collect", "wait", "replay", "update", "target network", "hand over", "evaluate", "checkpoint", "the rest")
 
 
-def settings(kind: Kind, *, steps: int, exact: bool, out: Path, num_threads: int | None = None) -> TrainConfig:
+def settings(kind: Kind, *, steps: int, exact: bool, out: Path) -> TrainConfig:
     """The thesis's settings (D3QN-I, 80x64, 8 samples a transition), with 16 robots, in complex_train.
 
     Args:
@@ -36,7 +36,6 @@ def settings(kind: Kind, *, steps: int, exact: bool, out: Path, num_threads: int
         steps: transitions in all.
         exact: batches of 8 and an update a transition; else batches of 64 and an update every eighth.
         out: the run's directory.
-        num_threads: of the learner; by default one beside a collecting process, and else two.
     """
     return dataclasses.replace(
         PRESETS["thesis"],
@@ -51,7 +50,6 @@ def settings(kind: Kind, *, steps: int, exact: bool, out: Path, num_threads: int
         eval_interval=max(25_000, steps // 16),
         checkpoint_interval=max(50_000, steps // 8),
         log_interval=max(64, min(4_000, steps // 16)),
-        num_threads=num_threads or (1 if kind == "async" else 2),
         report=False,
         out=out,
     )

@@ -99,19 +99,23 @@ def _version() -> str:
 def train(*arguments: str) -> None:
     """Train a robot, evaluate it in a room it has never seen, and write a report."""
     config, resume = _training_settings(arguments)
+    from rl.collect import CollectorError
     from rl.finish import finish
     from rl.run import Run
     from rl.train import train
 
     console = Console()
+    again = shlex.join(["navsim", "train", "--resume", "--out", str(config.directory)])
     try:
         run = train(config, resume=resume, console=console)
         if config.report:
             finish(run, console)
+    except CollectorError as error:
+        print(f"{error}\nto go on from the last checkpoint: {again}", file=sys.stderr)
+        raise SystemExit(1) from error
     except KeyboardInterrupt:
         if not Run(config.directory).exists:
             raise
-        again = shlex.join(["navsim", "train", "--resume", "--out", str(config.directory)])
         raise KeyboardInterrupt(f"stopped; to go on from the last checkpoint: {again}") from None
 
 

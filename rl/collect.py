@@ -25,6 +25,7 @@ from navsim.world import World
 from navsim.worldfile import load_world
 from rl.config import TrainConfig
 from rl.env import NavEnv
+from rl.memory import keep_freed_memory
 
 
 def make_env(config: TrainConfig, *, seed: int | None = None) -> NavEnv:
@@ -186,6 +187,7 @@ class _WorkerCollector(Collector):
 
     def __init__(self, *args: Any, failures: Connection, seed: int, **settings: Any) -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+        keep_freed_memory()
         torch.manual_seed(seed)
         self._failures = failures
         super().__init__(*args, **{**settings, **_COLLECTOR_SETTINGS})

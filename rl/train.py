@@ -50,9 +50,10 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
     Raises:
         RunError: if the directory holds a run already, or none to resume.
         navsim.WorldError: for a world file that cannot be used.
+        rl.collect.CollectorError: if the process of an asynchronous collector has ended.
     """
     keep_freed_memory()
-    torch.set_num_threads(config.num_threads)
+    torch.set_num_threads(config.learner_threads)
     torch.manual_seed(config.seed)
     random.seed(config.seed)
     if config.autocast == "auto":  # chosen by a stopwatch, so it is written down: a resumed run must not choose again
@@ -60,9 +61,9 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
     eval_world = load_world(config.eval_world)
     with (console or Console()).status("arranging the rooms to train in"):
         env = make_env(config)
+    learner = Learner(config)
     run = Run.open(config.directory) if resume else Run.create(config)
 
-    learner = Learner(config)
     replay = make_replay(
         capacity=config.replay_capacity,
         height=config.camera.height,
