@@ -8,11 +8,8 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections import defaultdict
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
 from typing import Any
-from unittest.mock import patch
 
 import torch
 from rich.console import Console
@@ -27,6 +24,7 @@ from navsim.simulator import Simulator
 from rl.env import NavEnv
 from rl.memory import keep_freed_memory
 from rl.run import processor
+from rl.stopwatch import stopwatch
 
 NUM_ENVS = 16
 BATCH = 16 * NUM_ENVS
@@ -41,7 +39,7 @@ _PARTS: dict[str, tuple[tuple[Any, str], ...]] = {
     "new episodes": ((Simulator, "reset"),),
     "image stacks and tensors": ((NavEnv, "_step"), (NavEnv, "_reset"), (NavEnv, "maybe_reset")),
 }
-"""What each part of a step consists of; time spent in a part that another one calls is the inner part's."""
+"""What each part of a step consists of."""
 _REST = "TorchRL"
 
 
@@ -68,7 +66,7 @@ def run(console: Console, *, world: str = "complex_train", steps: int = 4_096) -
     collect(_WARM_UP)
     rounds = track(range(_ROUNDS), "collecting", console=console, transient=True, disable=not console.is_terminal)
     rates = [steps / _seconds(lambda: collect(steps)) for _ in rounds]
-    with _stopwatch() as spent:
+    with stopwatch(_PARTS, time.process_time) as spent:
         total = _seconds(lambda: collect(steps))
     collector.shutdown()
 
@@ -94,33 +92,6 @@ def _breakdown(spent: dict[str, float], total: float, microseconds: float) -> Ta
     table.add_section()
     table.add_row("all", "100%", f"{microseconds:.1f}")
     return table
-
-
-@contextmanager
-def _stopwatch() -> Iterator[dict[str, float]]:
-    """Seconds spent in each of ``_PARTS`` while the context lasts."""
-    spent: dict[str, float] = defaultdict(float)
-    within: list[float] = []  # seconds spent in inner parts, for each part that is running
-
-    def timed(part: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        def run(*args: Any, **kwargs: Any) -> Any:
-            within.append(0.0)
-            begin = time.process_time()
-            try:
-                return function(*args, **kwargs)
-            finally:
-                seconds = time.process_time() - begin
-                spent[part] += seconds - within.pop()
-                if within:
-                    within[-1] += seconds
-
-        return run
-
-    with ExitStack() as stack:
-        for part, functions in _PARTS.items():
-            for owner, name in functions:
-                stack.enter_context(patch.object(owner, name, timed(part, getattr(owner, name))))
-        yield spent
 
 
 def _seconds(function: Callable[[], Any]) -> float:

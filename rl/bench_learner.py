@@ -1,13 +1,15 @@
-"""How fast the learner learns, beside TorchRL's ``DQNLoss`` and beside what the processor could do at best."""
+"""How fast the learner learns, beside TorchRL's ``DQNLoss``, Stable-Baselines3's DQN, and the processor's limit."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 import statistics
 import time
 from collections.abc import Callable
 from typing import Literal, NamedTuple
 
+import numpy as np
 import torch
 from rich.console import Console
 from rich.progress import track
@@ -24,6 +26,7 @@ from navsim.robot import NUM_ACTIONS
 from rl.config import PRESETS, TrainConfig
 from rl.env import NUM_FRAMES
 from rl.learner import Learner
+from rl.memory import keep_freed_memory
 from rl.run import processor
 
 CONFIG = dataclasses.replace(PRESETS["fast"], loss_function="smooth_l1")
@@ -34,6 +37,7 @@ FORMATS: tuple[NumberFormat, ...] = ("float32", "bfloat16")
 _ROUNDS = 7
 _SECONDS_A_ROUND = 0.4
 _MATRIX = 1024
+_STABLE_BASELINES = "Stable-Baselines3 (ratio)"
 
 
 class Measurement(NamedTuple):
@@ -47,9 +51,24 @@ class Measurement(NamedTuple):
     """TorchRL's ``DQNLoss`` with ``DuelingCnnDQNet``"""
     bound: float
     """if all operations of the peer's update ran as fast as a large product of matrices"""
+    other_peers: dict[str, float]
+    """of other libraries"""
+
+    @property
+    def roofline_share(self) -> float:
+        """Share of the bound that is reached."""
+        return self.ours / self.bound
 
 
-def run(console: Console, *, num_threads: int = 1, seconds: float = _SECONDS_A_ROUND) -> list[Measurement]:
+def run(
+    console: Console,
+    *,
+    num_threads: int = 1,
+    peers: bool = False,
+    height: int = 64,
+    width: int = 80,
+    seconds: float = _SECONDS_A_ROUND,
+) -> list[Measurement]:
     """Prints updates a second: loss, gradients, Adam and soft target update, without the replay.
 
     Ours and the peer take turns, round by round, and medians are compared, so that a machine that gets busy meanwhile
@@ -58,9 +77,14 @@ def run(console: Console, *, num_threads: int = 1, seconds: float = _SECONDS_A_R
     Args:
         console: where to.
         num_threads: CPU threads.
+        peers: whether Stable-Baselines3 is measured, too, in float32.
+        height: of the images, pixels.
+        width: of the images, pixels.
         seconds: that each of the seven rounds takes, for each learner.
     """
+    keep_freed_memory()
     torch.set_num_threads(num_threads)
+    camera = DepthCamera(width=width, height=height)
     settings = [(size, number_format) for size in BATCH_SIZES for number_format in FORMATS]
     peaks: dict[NumberFormat, float] = {
         number_format: _matmul_rate(number_format, seconds) for number_format in FORMATS
@@ -69,30 +93,38 @@ def run(console: Console, *, num_threads: int = 1, seconds: float = _SECONDS_A_R
     for size, number_format in track(
         settings, "learning", console=console, transient=True, disable=not console.is_terminal
     ):
-        measured.append(_compare(size, number_format, peaks[number_format], seconds))
+        measured.append(_compare(size, number_format, peaks[number_format], seconds, camera, peers=peers))
     threads = "one thread" if num_threads == 1 else f"{num_threads} threads"
     rates = ", ".join(f"{rate / 1e9:,.0f} GFLOP/s in {number_format}" for number_format, rate in peaks.items())
-    console.print(f"[bold]updates a second[/bold] of model I, 80x64, {threads}, {processor()}")
+    console.print(f"[bold]updates a second[/bold] of model I, {width}x{height}, {threads}, {processor()}")
     console.print(_table(measured))
-    console.print(f"bound: the peer's operations at the speed of {_MATRIX}x{_MATRIX} matrix products here, {rates}")
+    console.print(
+        "roofline: share of the speed that the operations of DQNLoss's update would have at that of "
+        f"{_MATRIX}x{_MATRIX} matrix products here, {rates}"
+    )
     return measured
 
 
 def _compare(
-    batch_size: int, number_format: Literal["float32", "bfloat16"], peak: float, seconds: float
+    batch_size: int, number_format: NumberFormat, peak: float, seconds: float, camera: DepthCamera, *, peers: bool
 ) -> Measurement:
-    config = dataclasses.replace(CONFIG, autocast=number_format)
+    config = dataclasses.replace(CONFIG, autocast=number_format, camera=camera)
     sample = random_sample(batch_size, config.camera)
     learner, peer = Learner(config), PeerLearner(config)
     contestants: list[Callable[[], object]] = [
         lambda: learner.update(sample.copy()),
         lambda: peer.update(sample.copy()),
     ]
+    names = []
+    if peers and number_format == "float32":
+        names.append(_STABLE_BASELINES)
+        contestants.append(stable_baselines_update(sample, config))
     for update in contestants:
         _rate(update, seconds)
     rates = [[_rate(update, seconds) for update in contestants] for _ in range(_ROUNDS)]
-    ours, theirs = (statistics.median(column) for column in zip(*rates, strict=True))
-    return Measurement(batch_size, number_format, ours, theirs, peak / peer.operations(sample))
+    ours, theirs, *others = (statistics.median(column) for column in zip(*rates, strict=True))
+    bound = peak / peer.operations(sample)
+    return Measurement(batch_size, number_format, ours, theirs, bound, dict(zip(names, others, strict=True)))
 
 
 def random_sample(batch_size: int, camera: DepthCamera) -> TensorDict:
@@ -131,7 +163,7 @@ class PeerLearner:
     """
 
     def __init__(self, config: TrainConfig) -> None:
-        self.network = _DuelingNetwork()
+        self.network = _DuelingNetwork(config.camera)
         self._evaluate(random_sample(1, config.camera))  # sizes the lazy layers
         module = TensorDictModule(self.network, in_keys=["depth", "heading"], out_keys=["action_value"])
         actor = QValueActor(module, in_keys=["depth", "heading"], action_space="categorical")
@@ -170,7 +202,7 @@ class PeerLearner:
 
 
 class _DuelingNetwork(nn.Module):
-    def __init__(self) -> None:
+    def __init__(self, camera: DepthCamera) -> None:
         super().__init__()
         self.layers = DuelingCnnDQNet(
             NUM_ACTIONS,
@@ -178,7 +210,7 @@ class _DuelingNetwork(nn.Module):
                 "num_cells": [32, 64, 64],
                 "kernel_sizes": [(10, 14), 4, 3],
                 "strides": [8, 2, 1],
-                "paddings": [(1, 3), 1, 1],
+                "paddings": _paddings(camera),
                 "activation_class": nn.ReLU,
             },
             mlp_kwargs={"depth": 1, "num_cells": 512, "activation_class": nn.ReLU},
@@ -187,6 +219,91 @@ class _DuelingNetwork(nn.Module):
     def forward(self, depth: Tensor, heading: Tensor) -> Tensor:
         heading_plane = ((heading + torch.pi) / (2.0 * torch.pi))[..., None, None].expand(-1, 1, *depth.shape[-2:])
         return self.layers(torch.cat([depth / 255.0, heading_plane], dim=-3))
+
+
+def _paddings(camera: DepthCamera) -> list[tuple[int, int]]:
+    """Zeros on each side that make the layers as large as ours, whose odd zero goes to the end."""
+    height, width = camera.height, camera.width
+    paddings = []
+    for (rows, columns), stride in (((10, 14), 8), ((4, 4), 2), ((3, 3), 1)):
+        sides = [max((math.ceil(n / stride) - 1) * stride + k - n, 0) for n, k in ((height, rows), (width, columns))]
+        paddings.append((math.ceil(sides[0] / 2), math.ceil(sides[1] / 2)))
+        height, width = math.ceil(height / stride), math.ceil(width / stride)
+    return paddings
+
+
+def stable_baselines_update(sample: TensorDict, config: TrainConfig) -> Callable[[], object]:
+    """An update of Stable-Baselines3's DQN with the layers of D3QN-I, on a sample that is always the same.
+
+    Its DQN is neither double nor dueling: s' is seen once, not twice, and 1,024 units lead to seven values. Its time is
+    that of ``DQN.train`` and ``polyak_update``, which belongs to its step of the environment.
+
+    Raises:
+        ValueError: if it is not installed.
+    """
+    try:
+        import gymnasium
+        from stable_baselines3 import DQN
+        from stable_baselines3.common.logger import configure
+        from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+        from stable_baselines3.common.type_aliases import ReplayBufferSamples
+        from stable_baselines3.common.utils import polyak_update
+    except ImportError as error:
+        raise ValueError(f"--peers needs stable-baselines3: pip install 'navsim-rl[peers]' ({error})") from error
+
+    camera = config.camera
+    space = gymnasium.spaces.Box(0, 255, (NUM_FRAMES + 1, camera.height, camera.width), np.uint8)
+
+    class Features(BaseFeaturesExtractor):
+        def __init__(self, observation_space: gymnasium.Space) -> None:
+            layers: list[nn.Module] = []
+            channels = NUM_FRAMES + 1
+            shapes = ((32, (10, 14), 8), (64, (4, 4), 2), (64, (3, 3), 1))
+            for (width, kernel, stride), padding in zip(shapes, _paddings(camera), strict=True):
+                layers += [nn.Conv2d(channels, width, kernel, stride, padding), nn.ReLU()]
+                channels = width
+            network = nn.Sequential(*layers, nn.Flatten())
+            size = network(torch.zeros(1, *observation_space.shape)).shape[1]
+            super().__init__(observation_space, size)
+            self.network = network
+
+        def forward(self, observations: Tensor) -> Tensor:
+            return self.network(observations)
+
+    class Room(gymnasium.Env):
+        observation_space, action_space = space, gymnasium.spaces.Discrete(NUM_ACTIONS)
+
+    def images(part: TensorDict) -> Tensor:
+        plane = ((part["heading"] + torch.pi) / (2.0 * torch.pi) * 255).to(torch.uint8)[..., None, None]
+        return torch.cat([part["depth"], plane.expand(-1, 1, *part["depth"].shape[-2:])], dim=1)
+
+    model = DQN(
+        "CnnPolicy",
+        Room(),
+        buffer_size=1,
+        batch_size=len(sample),
+        learning_rate=config.learning_rate,
+        max_grad_norm=config.max_grad_norm or math.inf,
+        policy_kwargs={"features_extractor_class": Features, "net_arch": [1024]},
+    )
+    model.set_logger(configure(None, []))
+    after = sample["next"]
+    discounts = torch.full_like(after["reward"], config.gamma**3)
+    fixed = ReplayBufferSamples(
+        images(sample),
+        sample["action"].unsqueeze(1),
+        images(after),
+        after["terminated"].float(),
+        after["reward"],
+        discounts,
+    )
+    model.replay_buffer.sample = lambda *_, **__: fixed
+
+    def update() -> None:
+        model.train(gradient_steps=1, batch_size=len(sample))
+        polyak_update(model.q_net.parameters(), model.q_net_target.parameters(), config.tau)
+
+    return update
 
 
 def _rate(function: Callable[[], object], seconds: float) -> float:
@@ -205,16 +322,21 @@ def _matmul_rate(number_format: NumberFormat, seconds: float) -> float:
 
 
 def _table(measured: list[Measurement]) -> Table:
+    others = sorted({name for row in measured for name in row.other_peers})
     table = Table()
-    for heading in ("batch", "format", "D3QNLoss", "TorchRL's DQNLoss", "ratio", "bound"):
+    for heading in ("batch", "format", "D3QNLoss", "roofline", "TorchRL's DQNLoss", "ratio", *others):
         table.add_column(heading, justify="left" if heading == "format" else "right")
     for row in measured:
         table.add_row(
             str(row.batch_size),
             row.number_format,
             f"{row.ours:,.1f}",
+            f"{row.roofline_share:.0%}",
             f"{row.peer:,.1f}",
             f"{row.ours / row.peer:.2f}",
-            f"{row.bound:,.0f}",
+            *(
+                f"{row.other_peers[n]:,.1f} ({row.ours / row.other_peers[n]:.2f})" if n in row.other_peers else ""
+                for n in others
+            ),
         )
     return table

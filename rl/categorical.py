@@ -20,7 +20,7 @@ from torchrl.modules import QValueActor
 
 from navsim.robot import NUM_ACTIONS
 from rl.loss import D3QNLoss
-from rl.networks import D3QN, STREAM_WIDTH, Model
+from rl.networks import D3QN, STREAM_WIDTH, Model, hidden_of_update
 
 
 class CategoricalD3QN(D3QN):
@@ -65,24 +65,23 @@ class CategoricalD3QN(D3QN):
 
     def logits(self, depth: Tensor, heading: Tensor) -> Tensor:
         """Unnormalised logarithms of the probabilities, ``(..., 7, atoms)``, for what ``forward`` takes."""
-        if not depth.is_floating_point():
-            depth, heading = self.prepare(depth, heading)
-        leading = depth.shape[:-3]
-        hidden = self._hidden(depth.reshape(-1, *depth.shape[-3:]), heading.reshape(-1, 1))
+        return self._logits(self.hidden(depth, heading)).reshape(*depth.shape[:-3], NUM_ACTIONS, -1)
+
+    def _logits(self, hidden: Tensor) -> Tensor:
+        """``(B, 7, atoms)`` of hidden layers ``(1024, B)``."""
         with torch.autocast(hidden.device.type, enabled=False):
             hidden = hidden.to(self.value.weight.dtype).t()
             value = self.value(hidden[:, :STREAM_WIDTH]).unsqueeze(1)
             advantage = self.advantage(hidden[:, STREAM_WIDTH:]).unflatten(1, (NUM_ACTIONS, -1))
-            logits = value + advantage - advantage.mean(1, keepdim=True)
-        return logits.reshape(*leading, NUM_ACTIONS, -1)
+            return value + advantage - advantage.mean(1, keepdim=True)
 
     def expectation(self, logits: Tensor) -> Tensor:
         """Q-values ``(..., 7)`` of ``logits`` ``(..., 7, atoms)``."""
         return logits.softmax(-1) @ self.support
 
-    def forward(self, depth: Tensor, heading: Tensor) -> Tensor:
-        """Action values, ``(..., 7)``; see ``D3QN.forward``."""
-        return self.expectation(self.logits(depth, heading))
+    def head(self, hidden: Tensor) -> Tensor:
+        """Action values, ``(B, 7)``, of hidden layers ``(1024, B)``."""
+        return self.expectation(self._logits(hidden))
 
 
 def make_categorical_actor(
@@ -148,17 +147,18 @@ class CategoricalD3QNLoss(D3QNLoss):
     def forward(self, tensordict: TensorDictBase) -> TensorDict:
         """The loss of a batch of transitions; see ``D3QNLoss.forward``."""
         keys = self.tensor_keys
-        observation = [tensordict.get(key) for key in self.value_network.in_keys]
-        next_observation = [tensordict.get(("next", key)) for key in self.value_network.in_keys]
+        observation, next_observation = self._observations(tensordict)
         online, target = self._networks_of_weights()
         assert isinstance(online, CategoricalD3QN)
         assert isinstance(target, CategoricalD3QN)
         with self._autocast(observation[0].device.type):
+            hidden, next_hidden, choosing_hidden = hidden_of_update(
+                online, target, observation, next_observation, double=self.double_dqn
+            )
+            logits = online._logits(hidden)
             with torch.no_grad():
-                prepared = online.prepare(*next_observation)
-                target_logits = target.logits(*prepared)
-                choosing_logits = online.logits(*prepared) if self.double_dqn else target_logits
-            logits = online.logits(*observation)
+                target_logits = target._logits(next_hidden)
+                choosing_logits = online._logits(choosing_hidden) if self.double_dqn else target_logits
 
         rows = torch.arange(len(logits), device=logits.device)
         action = tensordict.get(keys.action).reshape(-1)

@@ -13,7 +13,7 @@ import traceback
 from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import tyro
 from rich.console import Console
@@ -99,19 +99,23 @@ def _version() -> str:
 def train(*arguments: str) -> None:
     """Train a robot, evaluate it in a room it has never seen, and write a report."""
     config, resume = _training_settings(arguments)
+    from rl.collect import CollectorError
     from rl.finish import finish
     from rl.run import Run
     from rl.train import train
 
     console = Console()
+    again = shlex.join(["navsim", "train", "--resume", "--out", str(config.directory)])
     try:
         run = train(config, resume=resume, console=console)
         if config.report:
             finish(run, console)
+    except CollectorError as error:
+        print(f"{error}\nto go on from the last checkpoint: {again}", file=sys.stderr)
+        raise SystemExit(1) from error
     except KeyboardInterrupt:
         if not Run(config.directory).exists:
             raise
-        again = shlex.join(["navsim", "train", "--resume", "--out", str(config.directory)])
         raise KeyboardInterrupt(f"stopped; to go on from the last checkpoint: {again}") from None
 
 
@@ -251,15 +255,73 @@ def bench_generate(rooms: int = 100) -> None:
 
 
 @_bench.command(name="learner")
-def bench_learner(num_threads: int = 1) -> None:
+def bench_learner(
+    num_threads: int = 1, peers: FlagCreatePairsOff[bool] = False, height: int = 64, width: int = 80
+) -> None:
     """Updates a second of the learner, beside TorchRL's own loss and the processor's limit.
 
     Args:
         num_threads: CPU threads.
+        peers: Measure Stable-Baselines3's DQN with the same layers as well.
+        height: Pixels of an image.
+        width: Pixels of an image.
     """
     from rl.bench_learner import run
 
-    run(Console(), num_threads=num_threads)
+    run(Console(), num_threads=num_threads, peers=peers, height=height, width=width)
+
+
+@_bench.command(name="replay")
+def bench_replay(peers: FlagCreatePairsOff[bool] = False, capacity: int = 50_000) -> None:
+    """Memory and time of the replay, beside TorchRL's own ways to store stacks of images.
+
+    Args:
+        peers: Measure Stable-Baselines3's ReplayBuffer as well.
+        capacity: Transitions that each replay holds.
+    """
+    from rl.bench_replay import run
+
+    run(Console(), peers=peers, capacity=capacity)
+
+
+@_bench.command(name="train")
+def bench_train(
+    steps: int = 400_000,
+    exact: FlagCreatePairsOff[bool] = False,
+    collector: Annotated[Literal["both", "sync", "async"], arg(help="Kinds of collector to measure.")] = "both",
+    out: Annotated[Path, arg(metavar="FILE")] = Path("bench_train.json"),
+) -> None:
+    """Seconds in each part of a whole training at the thesis's volume, and memory, with collectors of both kinds.
+
+    Args:
+        steps: Transitions in all; with fewer than the thesis's 400,000, its time is extrapolated from the steady rate.
+        exact: Batches of 8 and an update a transition, as in the thesis, in place of 64 and an update every 8.
+        out: JSON file; what it holds already, measured with the same settings, is not measured again.
+    """
+    from rl.bench_train import run
+
+    kinds = ("sync", "async") if collector == "both" else (collector,)
+    run(Console(), steps=steps, exact=exact, collectors=kinds, out=out)
+
+
+@_bench.command(name="learning")
+def bench_learning(
+    steps: int = 100_000,
+    seeds: int = 3,
+    runs: Annotated[Path, arg(metavar="DIR")] = Path("runs/compare_training"),
+    out: Annotated[Path, arg(metavar="FILE")] = Path("docs/results/compare_training.json"),
+) -> None:
+    """Train with each collector and number format, and compare what they learn. Interrupted: run it again.
+
+    Args:
+        steps: Transitions in each run.
+        seeds: Runs with each setting.
+        runs: Directory for the runs; finished ones are not repeated.
+        out: JSON file for the results, written after each run.
+    """
+    from rl.bench_learning import run
+
+    run(Console(), out=out, runs=runs, seeds=range(seeds), steps=steps)
 
 
 _Part = TypeVar("_Part")

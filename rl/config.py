@@ -62,6 +62,10 @@ class Collection:
     """Transitions collected for each gradient step."""
     warmup_steps: int = 5_000
     """Transitions collected before the first gradient step."""
+    collector: Literal["sync", "async"] = "sync"
+    """Whether collecting and learning take turns, bit-reproducibly, or run at once in two processes."""
+    steps_per_handover: int = 64
+    """Transitions between two handovers of the network to an asynchronous collector, or from a GPU."""
 
 
 @dataclass(frozen=True)
@@ -116,8 +120,10 @@ class Learning:
     """Gradient steps between two hard copies."""
     autocast: Literal["auto", "float32", "bfloat16"] = "auto"
     """Number format of the networks' multiplications; "auto" measures which is faster here."""
-    num_threads: int = 2
-    """CPU threads for the networks."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where the learner's networks are; robots are simulated, and their policy evaluated, on the CPU."""
+    num_threads: int | None = None
+    """CPU threads for the learner's networks. None: 2, or 1 beside an asynchronous collector, which has its own."""
 
 
 @dataclass(frozen=True)
@@ -161,7 +167,7 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
     def _problems(self):
         positive = (
             "total_steps num_envs steps_per_batch steps_per_update n_step batch_size replay_capacity learning_rate"
-            " hard_update_interval epsilon_steps eval_interval log_interval checkpoint_interval num_threads"
+            " hard_update_interval steps_per_handover epsilon_steps eval_interval log_interval checkpoint_interval"
         )
         for name in positive.split():
             value = getattr(self, name)
@@ -170,6 +176,8 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
         for name in ("gamma", "epsilon_start", "epsilon_end", "tau"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 yield f"--{_flag(name)} must lie between 0 and 1; got {getattr(self, name)}"
+        if self.num_threads is not None and self.num_threads < 1:
+            yield f"--num-threads must be positive, or None; got {self.num_threads}"
         if self.seed < 0:
             yield f"--seed must not be negative; got {self.seed}"
         if not self.world:
@@ -225,6 +233,11 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
                 yield str(error)
         if self.max_grad_norm is not None and not self.max_grad_norm > 0:
             yield f"--max-grad-norm must be positive or None; got {self.max_grad_norm}"
+
+    @property
+    def learner_threads(self) -> int:
+        """CPU threads for the networks."""
+        return self.num_threads or (1 if self.collector == "async" else 2)
 
     @property
     def directory(self) -> Path:

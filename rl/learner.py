@@ -8,12 +8,13 @@ from typing import Any
 import torch
 from tensordict import TensorDictBase
 from torchrl.modules import QValueActor
-from torchrl.objectives import HardUpdate, SoftUpdate
+from torchrl.objectives import HardUpdate
 
 from rl.categorical import CategoricalD3QNLoss, make_categorical_actor
 from rl.config import TrainConfig
 from rl.loss import D3QNLoss, fastest_autocast
 from rl.networks import make_q_actor
+from rl.optimiser import ClippedAdam, SoftUpdateAtOnce
 
 
 class Learner:
@@ -21,20 +22,34 @@ class Learner:
 
     Args:
         config: the run's settings.
+
+    Attributes:
+        actor: the greedy policy, on the CPU. With ``--device cuda`` it is a copy of the one that learns, as old as the
+            last ``hand_over``.
+
+    Raises:
+        ValueError: for a device that is not there.
     """
 
     def __init__(self, config: TrainConfig) -> None:
         self.config = config
         self.actor = make_actor(config)
         self.loss = make_loss(self.actor, config)
+        self._learning: QValueActor | None = None
+        if config.device != "cpu":
+            if not torch.cuda.is_available():
+                raise ValueError(f"--device {config.device}: PyTorch finds no such device here; use --device cpu")
+            self._learning = make_actor(config).to(config.device)
+            self._learning.load_state_dict(self.actor.state_dict())
+            self.loss = make_loss(self._learning, config)
         if config.target_update == "soft":
-            self.target_updater = SoftUpdate(self.loss, tau=config.tau)
+            self.target_updater = SoftUpdateAtOnce(self.loss, tau=config.tau)
         else:
             # HardUpdate copies once its counter, which the copying call does not raise, has reached this number.
             interval = config.hard_update_interval - 1
             self.target_updater = HardUpdate(self.loss, value_network_update_interval=interval)
         self.parameters = [parameter for parameter in self.loss.parameters() if parameter.requires_grad]
-        self.optimiser = torch.optim.Adam(self.parameters, lr=config.learning_rate, fused=True)
+        self.optimiser = ClippedAdam(self.parameters, config.learning_rate, config.max_grad_norm)
         self.updates = 0
 
     def updates_due(self, step: int) -> int:
@@ -60,15 +75,21 @@ class Learner:
         """
         for group in self.optimiser.param_groups:
             group["lr"] = self.learning_rate
-        loss = self.loss(sample)["loss"]
+        seen = sample if self._learning is None else sample.to(self.config.device)
+        loss = self.loss(seen)["loss"]
         loss.backward()
-        if self.config.max_grad_norm is not None:
-            torch.nn.utils.clip_grad_norm_(self.parameters, self.config.max_grad_norm)
         self.optimiser.step()
         self.optimiser.zero_grad()
         self.target_updater.step()
         self.updates += 1
+        if seen is not sample:
+            sample.update(seen.select("td_error", "chosen_action_value").cpu())
         return loss.detach()
+
+    def hand_over(self) -> None:
+        """Makes ``actor`` what has been learnt."""
+        if self._learning is not None:
+            self.actor.load_state_dict(self._learning.state_dict())
 
     def state_dict(self) -> dict[str, Any]:
         """Networks, optimiser and count of updates."""
@@ -82,6 +103,7 @@ class Learner:
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Goes on from ``state_dict``."""
         self.loss.load_state_dict(state_dict["loss"])
+        self.hand_over()
         self.optimiser.load_state_dict(state_dict["optimiser"])
         if hasattr(self.target_updater, "counter"):
             self.target_updater.counter = state_dict["target_updater"]
@@ -99,14 +121,14 @@ def make_actor(config: TrainConfig) -> QValueActor:
 
 def make_loss(actor: QValueActor, config: TrainConfig) -> D3QNLoss:
     """The loss that the settings name, for an actor from ``make_actor``."""
-    autocast = number_format(config.autocast)
+    autocast = number_format(config.autocast, config.device)
     if config.loss_function == "categorical":
         return CategoricalD3QNLoss(actor, config.gamma, autocast=autocast)
     return D3QNLoss(actor, config.gamma, loss_function=config.loss_function, autocast=autocast)
 
 
-def number_format(setting: str) -> torch.dtype | None:
+def number_format(setting: str, device: str = "cpu") -> torch.dtype | None:
     """What ``D3QNLoss`` takes for a run's ``autocast``: None is float32."""
     if setting == "auto":
-        return fastest_autocast()
+        return fastest_autocast(device)
     return {"float32": None, "bfloat16": torch.bfloat16}[setting]

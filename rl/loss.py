@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss, ValueEstimators, distance_loss
 
-from rl.networks import D3QN
+from rl.networks import D3QN, hidden_of_update
 
 
 class D3QNLoss(DQNLoss):
@@ -30,8 +30,7 @@ class D3QNLoss(DQNLoss):
     limit ended is ``truncated``, not ``terminated``, so its last observation is bootstrapped from.
 
     What ``DQNLoss`` spends beside the networks (copies of tensordicts, ``step_mdp``, actions nobody reads, gradients
-    through nothing) is gone, and s' is prepared once for both networks. The online network sees s and s' one after the
-    other: a single pass over both would make its backward pass cover s' as well.
+    through nothing) is gone, and ``rl.networks.hidden_of_update`` passes s and s' through a ``D3QN`` in fewer products.
 
     Like ``DQNLoss``, it writes the squared error into the tensordict as ``td_error``, ``(B, 1)``, the priority of
     prioritised replay, and weighs samples by their ``priority_weight`` if they have one. Unlike it, it also writes
@@ -114,12 +113,9 @@ class D3QNLoss(DQNLoss):
             a tensordict with ``loss``, a scalar unless the reduction is "none".
         """
         keys = self.tensor_keys
-        observation = [tensordict.get(key) for key in self.value_network.in_keys]
-        next_observation = [tensordict.get(("next", key)) for key in self.value_network.in_keys]
-        online, target = self._networks_of_weights()
+        observation, next_observation = self._observations(tensordict)
         with self._autocast(observation[0].device.type):
-            next_value = self._next_value(online, target, next_observation)
-            action_value = online(*observation)
+            action_value, next_value = self._values(observation, next_observation)
 
         action = tensordict.get(keys.action)
         if action.ndim < action_value.ndim:
@@ -135,15 +131,28 @@ class D3QNLoss(DQNLoss):
         loss = self._reduce_loss(loss, tensordict=tensordict, weights=weights)
         return TensorDict({"loss": loss})
 
-    def _next_value(self, online: nn.Module, target: nn.Module, observation: list[Tensor]) -> Tensor:
-        """What s' is worth, ``(B, 1)``."""
-        with torch.no_grad():
-            if isinstance(online, D3QN):
-                observation = list(online.prepare(*observation))
-            target_value = target(*observation)
-            if not self.double_dqn:
-                return target_value.amax(-1, keepdim=True)
-            return target_value.gather(-1, online(*observation).argmax(-1, keepdim=True))
+    def _observations(self, tensordict: TensorDictBase) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
+        """What the networks see of s and of s'."""
+        keys = self.value_network.in_keys
+        return tuple(tensordict.get(key) for key in keys), tuple(tensordict.get(("next", key)) for key in keys)
+
+    def _values(self, observation: tuple[Tensor, ...], next_observation: tuple[Tensor, ...]) -> tuple[Tensor, Tensor]:
+        """Online action values of s, ``(B, actions)``, and what s' is worth, ``(B, 1)``."""
+        online, target = self._networks_of_weights()
+        if isinstance(online, D3QN) and isinstance(target, D3QN) and observation[0].ndim == 4:
+            hidden, next_hidden, choosing_hidden = hidden_of_update(
+                online, target, observation, next_observation, double=self.double_dqn
+            )
+            action_value = online.head(hidden)
+            with torch.no_grad():
+                target_value = target.head(next_hidden)
+                choosing_value = online.head(choosing_hidden) if self.double_dqn else target_value
+        else:
+            action_value = online(*observation)
+            with torch.no_grad():
+                target_value = target(*next_observation)
+                choosing_value = online(*next_observation) if self.double_dqn else target_value
+        return action_value, target_value.gather(-1, choosing_value.argmax(-1, keepdim=True))
 
     def _networks_of_weights(self) -> tuple[nn.Module, nn.Module]:
         """Two networks that hold the loss's online and target weights themselves, not copies.

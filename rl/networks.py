@@ -9,31 +9,33 @@ The models differ in how the heading θ of the goal enters, always as (θ + π) 
 
 Some things are computed differently from how they are written above, and give the same numbers (the tests compare):
 
+- Convolutions are products of matrices, see ``rl.convolution``, and features are flattened in the order row, column,
+  channel, as in TensorFlow.
 - The first layers of the two streams, 512 units each, are one matrix product of 1024 rows, written
-  ``weights @ features.T``, which the BLAS does faster than its transpose: 8 samples in 0.4 instead of 0.6 ms.
+  ``weights @ features.T``, which the BLAS does faster than its transpose.
 - A constant plane is not convolved. A convolution is linear, so the plane contributes its number times the response of
   conv1's fifth channel to a plane of ones, which depends on the weights only.
 - The images' division by 255 is done on conv1's weights, so that 8-bit images enter as they are; every value from 0 to
   255 is exact in bfloat16, too.
-- Images travel with the channels last, and features are flattened in the order row, column, channel, as in
-  TensorFlow. The gradient of conv1's weights, for one, takes 1.6 instead of 4.6 ms for 64 samples.
+- ``hidden_of_update`` judges what an update of double Q-learning needs in fewer, larger products.
 
-(One core of a Xeon with AVX-512, torch 2.13. ``torch.compile`` is not used: it needs a C++ compiler on the machine
-that trains.)
+docs/performance.md tells what each of these gives, and what was tried besides.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import torch
 from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
 from torch.nn import functional as F
 from torchrl.data import Categorical
 from torchrl.modules import QValueActor
 
 from navsim.robot import NUM_ACTIONS
+from rl.convolution import ByteConvolution, Convolution, Geometry
 
 Model = Literal["I", "S"]
 """Where the heading enters: as an image plane, or as a scalar beside the features."""
@@ -71,7 +73,7 @@ def same_padding(size: int, kernel: int, stride: int) -> tuple[int, int]:
 
 
 class SameConv2d(nn.Conv2d):
-    """A convolution with TensorFlow's "SAME" geometry for images of one size.
+    """A convolution with TensorFlow's "SAME" geometry for images of one size, best with the channels last.
 
     Args:
         in_channels: channels of the images.
@@ -82,6 +84,7 @@ class SameConv2d(nn.Conv2d):
 
     Attributes:
         output_size: (height, width) of the output.
+        geometry: where the kernel is put.
     """
 
     def __init__(
@@ -92,25 +95,17 @@ class SameConv2d(nn.Conv2d):
         stride: int,
         image_size: tuple[int, int],
     ) -> None:
+        super().__init__(in_channels, out_channels, kernel_size, stride)
+        self.weight.data = self.weight.data.contiguous(memory_format=torch.channels_last)
+        self.output_size = (math.ceil(image_size[0] / stride), math.ceil(image_size[1] / stride))
         rows, columns = (
             same_padding(size, kernel, stride) for size, kernel in zip(image_size, kernel_size, strict=True)
         )
-        symmetric = rows[0] == rows[1] and columns[0] == columns[1]
-        super().__init__(
-            in_channels, out_channels, kernel_size, stride, padding=(rows[0], columns[0]) if symmetric else 0
-        )
-        self.weight.data = self.weight.data.contiguous(memory_format=torch.channels_last)
-        self.output_size = (math.ceil(image_size[0] / stride), math.ceil(image_size[1] / stride))
-        self._border = None if symmetric else (*columns, *rows)
-
-    def convolve(self, images: Tensor, weight: Tensor) -> Tensor:
-        """The convolution of ``images`` ``(B, C, H, W)`` with a kernel that may differ from the layer's own."""
-        if self._border is not None:
-            images = F.pad(images, self._border)
-        return self._conv_forward(images, weight, self.bias)
+        self.geometry = Geometry(kernel_size, stride, rows, columns, self.output_size)
 
     def forward(self, images: Tensor) -> Tensor:
-        return self.convolve(images, self.weight)
+        """``(B, out_channels, H', W')`` from ``images`` ``(B, in_channels, H, W)``, in the format of the images."""
+        return Convolution.apply(images, self.weight.to(images.dtype), self.bias.to(images.dtype), self.geometry)
 
 
 class D3QN(nn.Module):
@@ -198,29 +193,6 @@ class D3QN(nn.Module):
             "advantage 2": counts["advantage"],
         }
 
-    def prepare(self, depth: Tensor, heading: Tensor) -> tuple[Tensor, Tensor]:
-        """What ``forward`` does before it uses a weight, for observations that several sets of weights shall judge.
-
-        Args:
-            depth: uint8 ``(..., 4, H, W)``.
-            heading: float32 ``(..., 1)``, radians.
-
-        Returns:
-            floating-point ``depth``, still from 0 to 255, and ``heading`` from 0 to 1, both ready for ``forward``.
-
-        Raises:
-            ValueError: for images of another size.
-        """
-        if depth.shape[-3:] != self.image_shape:
-            raise ValueError(
-                f"the network is for depth images of shape {self.image_shape} (frames, height, width);"
-                f" got {tuple(depth.shape[-3:])}"
-            )
-        device = depth.device.type
-        dtype = torch.get_autocast_dtype(device) if torch.is_autocast_enabled(device) else self.conv1.weight.dtype
-        channels_last = torch.stack(depth.unbind(-3), dim=-1)  # faster than contiguous(memory_format=...) on 8 bits
-        return channels_last.to(dtype).movedim(-1, -3), (heading + math.pi) / (2.0 * math.pi)
-
     def forward(self, depth: Tensor, heading: Tensor) -> Tensor:
         """Action values, ``(..., 7)``.
 
@@ -228,36 +200,120 @@ class D3QN(nn.Module):
             depth: uint8 ``(..., 4, H, W)``, oldest image first; 255 is the camera's greatest range.
             heading: float32 ``(..., 1)``, radians in (−π, π].
 
-        Both may come from ``prepare`` instead.
+        Raises:
+            ValueError: for images of another size.
         """
-        if not depth.is_floating_point():
-            depth, heading = self.prepare(depth, heading)
-        leading = depth.shape[:-3]
-        hidden = self._hidden(depth.reshape(-1, *depth.shape[-3:]), heading.reshape(-1, 1))
+        return self.head(self.hidden(depth, heading)).reshape(*depth.shape[:-3], NUM_ACTIONS)
+
+    def hidden(self, depth: Tensor, heading: Tensor) -> Tensor:
+        """The hidden layers of both streams, one sample a column: ``(1024, B)``; arguments as for ``forward``."""
+        depth, heading = self._flat(depth, heading)
+        response = ByteConvolution.apply(depth, self._byte_kernel(), self.conv1.geometry)
+        return self._streams(self._features(response, heading))
+
+    def head(self, hidden: Tensor) -> Tensor:
+        """Action values, ``(B, 7)``, of hidden layers ``(1024, B)``."""
         with torch.autocast(hidden.device.type, enabled=False):  # Q-values need more than bfloat16's three digits
             hidden = hidden.to(self.value.weight.dtype)
             value = torch.addmm(self.value.bias.unsqueeze(1), self.value.weight, hidden[:STREAM_WIDTH])
             advantage = torch.addmm(self.advantage.bias.unsqueeze(1), self.advantage.weight, hidden[STREAM_WIDTH:])
-            action_values = value + advantage - advantage.mean(0, keepdim=True)
-        return action_values.t().reshape(*leading, NUM_ACTIONS)
+            return (value + advantage - advantage.mean(0, keepdim=True)).t()
 
-    def _hidden(self, depth: Tensor, heading: Tensor) -> Tensor:
-        """The hidden layers of both streams, one sample a column: ``(1024, B)``."""
-        features = self.conv1.convolve(depth, self.conv1.weight[:, :NUM_FRAMES] * (1.0 / 255.0))
+    def _flat(self, depth: Tensor, heading: Tensor) -> tuple[Tensor, Tensor]:
+        """Observations in one batch dimension, headings from 0 to 1."""
+        if depth.shape[-3:] != self.image_shape:
+            raise ValueError(
+                f"the network is for depth images of shape {self.image_shape} (frames, height, width);"
+                f" got {tuple(depth.shape[-3:])}"
+            )
+        return depth.reshape(-1, *self.image_shape), ((heading + math.pi) / (2.0 * math.pi)).reshape(-1, 1)
+
+    def _byte_kernel(self) -> Tensor:
+        """conv1's weights for 8-bit images, ``(32, 560)``, in the format that the networks multiply in."""
+        weight = self.conv1.weight[:, :NUM_FRAMES].permute(0, 2, 3, 1).flatten(1) * (1.0 / 255.0)
+        device = weight.device.type
+        return weight.to(torch.get_autocast_dtype(device)) if torch.is_autocast_enabled(device) else weight
+
+    def _features(self, response: Tensor, heading: Tensor) -> Tensor:
+        """What the streams see, ``(B, n)``, of conv1's ``response`` to the images, ``(B·H'·W', 32)`` without bias."""
+        batch, dtype = len(heading), response.dtype
+        offsets, shares = self.conv1.bias.expand(len(response) // batch, -1).flatten(), torch.ones_like(heading)
         if self.model == "I":
-            plane = self._plane_response()
-            features = torch.addcmul(features, heading.to(features.dtype)[..., None, None], plane.to(features.dtype))
-        features = F.relu_(self.conv2(F.relu_(features)))
-        features = F.relu_(self.conv3(features)).permute(0, 2, 3, 1).flatten(1)
-        if self.model == "S":
-            features = torch.cat([features, heading.to(features.dtype)], dim=1)
-        return F.relu_(torch.addmm(self.streams.bias.unsqueeze(1), self.streams.weight, features.t()))
+            offsets, shares = torch.stack([offsets, self._plane_response()]), torch.cat([shares, heading], dim=1)
+        features = torch.addmm(
+            response.reshape(batch, -1), shares.to(dtype), offsets.view(-1, offsets.shape[-1]).to(dtype)
+        )
+        features = F.relu_(features).view(batch, *self.conv1.output_size, -1).permute(0, 3, 1, 2)
+        features = F.relu_(self.conv3(F.relu_(self.conv2(features)))).permute(0, 2, 3, 1).flatten(1)
+        return features if self.model == "I" else torch.cat([features, heading.to(dtype)], dim=1)
+
+    def _streams(self, features: Tensor, passengers: Tensor | None = None) -> Tensor:
+        weight, bias = self.streams.weight.to(features.dtype), self.streams.bias.to(features.dtype)
+        return F.relu_(_Streams.apply(features, passengers, weight, bias))
 
     def _plane_response(self) -> Tensor:
-        """Response of conv1's heading channel to a plane of ones, ``(1, 32, H', W')`` with the channels last."""
-        kernel = self.conv1.weight[:, NUM_FRAMES].flatten(1)
-        response = self._coverage @ kernel.t()
-        return response.view(1, *self.conv1.output_size, -1).permute(0, 3, 1, 2)
+        """Response of conv1's heading channel to a plane of ones, ``(H'·W'·32,)``."""
+        return (self._coverage @ self.conv1.weight[:, NUM_FRAMES].flatten(1).t()).flatten()
+
+
+class _Streams(torch.autograd.Function):
+    """``weight @ rows.T + bias``, with gradients through the first rows only; the others come for the ride."""
+
+    @staticmethod
+    def forward(ctx: Any, features: Tensor, passengers: Tensor | None, weight: Tensor, bias: Tensor) -> Tensor:
+        ctx.save_for_backward(features, weight)
+        rows = features if passengers is None else torch.cat([features, passengers])
+        return torch.addmm(bias.unsqueeze(1), weight, rows.t())
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        features, weight = ctx.saved_tensors
+        gradient = gradient[:, : len(features)].contiguous()
+        # "weight.T @ gradient" would be the same, and with 8 samples takes MKL eight times as long on an AMD processor
+        return gradient.t() @ weight, None, gradient @ features, gradient.sum(1)
+
+
+def hidden_of_update(
+    online: D3QN,
+    target: D3QN,
+    observation: tuple[Tensor, Tensor],
+    next_observation: tuple[Tensor, Tensor],
+    *,
+    double: bool,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Hidden layers for an update of (double) Q-learning.
+
+    The same as ``online.hidden(s)``, ``target.hidden(s')`` and ``online.hidden(s')``, of which only the first is
+    differentiable: conv1 sees s' once for both networks, and the online network's streams see s and s' together.
+
+    Args:
+        online: the network that learns.
+        target: the network that tells what s' is worth.
+        observation: depth and heading of B states s.
+        next_observation: of as many states s'.
+        double: whether the online network judges s' as well.
+
+    Returns:
+        online of s, target of s' and, equal to the second unless ``double``, online of s', each ``(1024, B)``.
+    """
+    depth, heading = online._flat(*observation)
+    next_depth, next_heading = online._flat(*next_observation)
+    networks = (target, online) if double else (target,)
+    with torch.no_grad():
+        kernels = [network._byte_kernel() for network in networks]
+        responses = ByteConvolution.apply(next_depth, torch.cat(kernels), online.conv1.geometry)
+        next_features = [
+            network._features(response, next_heading)
+            for network, response in zip(networks, responses.split(len(kernels[0]), dim=1), strict=True)
+        ]
+        next_hidden = target._streams(next_features[0])
+    response = ByteConvolution.apply(depth, online._byte_kernel(), online.conv1.geometry)
+    features = online._features(response, heading)
+    if not double:
+        return online._streams(features), next_hidden, next_hidden
+    both = online._streams(features, next_features[1])
+    return both[:, : len(depth)], next_hidden, both[:, len(depth) :].detach()
 
 
 def _coverage(convolution: _Convolution, height: int, width: int) -> Tensor:

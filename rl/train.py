@@ -15,6 +15,7 @@ import torch
 from rich.console import Console
 from tensordict import TensorDictBase
 from torchrl.checkpoint import Checkpoint, CheckpointRotation, GlobalRNGState
+from torchrl.collectors import BaseCollector
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.record.loggers import TensorboardLogger
 
@@ -49,19 +50,20 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
     Raises:
         RunError: if the directory holds a run already, or none to resume.
         navsim.WorldError: for a world file that cannot be used.
+        rl.collect.CollectorError: if the process of an asynchronous collector has ended.
     """
     keep_freed_memory()
-    torch.set_num_threads(config.num_threads)
+    torch.set_num_threads(config.learner_threads)
     torch.manual_seed(config.seed)
     random.seed(config.seed)
     if config.autocast == "auto":  # chosen by a stopwatch, so it is written down: a resumed run must not choose again
-        config = replace(config, autocast="float32" if number_format("auto") is None else "bfloat16")
+        config = replace(config, autocast="float32" if number_format("auto", config.device) is None else "bfloat16")
     eval_worlds = worlds_from(config.eval_world)
     with (console or Console()).status("arranging the rooms to train in"):
         env = make_env(config)
+    learner = Learner(config)
     run = Run.open(config.directory) if resume else Run.create(config)
 
-    learner = Learner(config)
     replay = make_replay(
         capacity=config.replay_capacity,
         height=config.camera.height,
@@ -92,12 +94,19 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
         env.set_seed(config.seed + progress.step)  # not once more the episodes that were played before
         logs.truncate_after(progress.step)
     clock = Clock(progress.seconds, progress.step)
-    log_due, eval_due, checkpoint_due = (
+    log_due, eval_due, checkpoint_due, handover_due = (
         _Every(interval, progress.step, config.total_steps)
-        for interval in (config.log_interval, config.eval_interval, config.checkpoint_interval)
+        for interval in (
+            config.log_interval,
+            config.eval_interval,
+            config.checkpoint_interval,
+            config.steps_per_handover,
+        )
     )
-    collector = make_collector(env, policy, config, total_steps=config.total_steps - progress.step)
-    with progress_bar(console) as bar, _interrupts_between_batches() as interrupts:
+    collector = make_collector(
+        env, policy, config, total_steps=config.total_steps - progress.step, seed=config.seed + progress.step
+    )
+    with _closing(collector), progress_bar(console) as bar, _interrupts_between_batches() as interrupts:
         shown = bar.add_task("", total=config.total_steps, completed=progress.step, status="", speed="")
         for batch in collector:
             replay.extend(batch)
@@ -109,6 +118,10 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
                 if config.prioritized:
                     replay.update_tensordict_priority(sample)
                 progress.learnt(loss, sample["chosen_action_value"])
+            if handover_due(progress.step):
+                learner.hand_over()
+                if config.collector == "async":
+                    collector.update_policy_weights_()
 
             progress.seconds = clock.seconds
             speed = clock.tick(progress.step)
@@ -125,16 +138,26 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
                     }
                 )
             if eval_due(progress.step):
+                learner.hand_over()
                 bar.update(shown, status="evaluating")
                 logs.evaluation(_evaluate(learner, eval_worlds, config), learner, progress)
                 bar.update(shown, status=status)
             if checkpoint_due(progress.step):
+                learner.hand_over()
                 run.save_policy("policy_last", learner.actor.state_dict())
                 rotation.save(checkpoint, step=progress.step)
             if interrupts:
                 raise KeyboardInterrupt
-    collector.shutdown()
     return run
+
+
+@contextmanager
+def _closing(collector: BaseCollector) -> Iterator[None]:
+    """Ends a collector and its processes, whatever happens."""
+    try:
+        yield
+    finally:
+        collector.shutdown(raise_on_error=False)
 
 
 @contextmanager

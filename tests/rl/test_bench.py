@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import io
+import json
+import time
+from dataclasses import replace
 
 import pytest
 import torch
 from rich.console import Console
 
-from rl import bench_env, bench_learner
-from rl.bench_learner import CONFIG, PeerLearner, random_sample
+from navsim.camera import DepthCamera
+from rl import bench_env, bench_learner, bench_learning, bench_replay, bench_train
+from rl.bench_learner import CONFIG, PeerLearner, random_sample, stable_baselines_update
 from rl.networks import make_q_actor
+from rl.stopwatch import stopwatch
 
 
 @pytest.fixture
@@ -22,10 +27,28 @@ def printed(console: Console) -> str:
     return console.file.getvalue()  # type: ignore[attr-defined]
 
 
-def test_the_peer_has_the_layers_of_model_i():
-    camera = CONFIG.camera
+@pytest.mark.parametrize("size", [(80, 64), (160, 128), (77, 61)])
+def test_the_peer_has_the_layers_of_model_i(size):
+    camera = DepthCamera(width=size[0], height=size[1])
     ours = sum(p.numel() for p in make_q_actor("I", camera.height, camera.width).parameters())
-    assert sum(p.numel() for p in PeerLearner(CONFIG).network.parameters()) == ours
+    assert sum(p.numel() for p in PeerLearner(replace(CONFIG, camera=camera)).network.parameters()) == ours
+
+
+def test_the_other_peer_has_convolutions_as_large_and_learns():
+    pytest.importorskip("stable_baselines3")
+    torch.manual_seed(0)
+    sample = random_sample(8, CONFIG.camera)
+    update = stable_baselines_update(sample, CONFIG)
+    model = next(cell.cell_contents for cell in update.__closure__ if hasattr(cell.cell_contents, "q_net"))
+    counts = [p.numel() for p in model.q_net.parameters()]
+    ours = [p.numel() for p in PeerLearner(CONFIG).network.parameters()]
+    assert counts[:6] == ours[:6]
+    assert counts[6] == 1280 * 1024
+    before = model.q_net.state_dict()["q_net.0.weight"].clone()
+    target = model.q_net_target.state_dict()["q_net.0.weight"].clone()
+    update()
+    assert not torch.equal(model.q_net.state_dict()["q_net.0.weight"], before)
+    assert not torch.equal(model.q_net_target.state_dict()["q_net.0.weight"], target)
 
 
 def test_the_peer_learns():
@@ -73,3 +96,86 @@ def test_the_parts_of_a_step_add_up(console):
     assert sum(part for _, part in shares.values()) == pytest.approx(microseconds, rel=0.01)
     assert shares["camera"][0] > 5
     assert shares["physics"][0] > 1
+
+
+def test_a_stopwatch_counts_inner_parts_once():
+    class Work:
+        def outer(self):
+            time.sleep(0.02)
+            self.inner()
+
+        def inner(self):
+            time.sleep(0.05)
+
+    with stopwatch({"outer": ((Work, "outer"),), "inner": ((Work, "inner"),)}) as spent:
+        Work().outer()
+    assert 0.02 <= spent["outer"] < 0.05 <= spent["inner"]
+    assert not hasattr(Work.outer, "__wrapped__")
+
+
+def test_random_streams_for_the_replay_are_those_of_an_environment():
+    streams = bench_replay.Streams(10, 14)
+    first, second = streams.batch(), streams.batch()
+    depth = torch.cat([first["depth"], second["depth"]], dim=1)
+    after = torch.cat([first["next", "depth"], second["next", "depth"]], dim=1)
+    done = torch.cat([first["next", "done"], second["next", "done"]], dim=1).squeeze(-1)[:, :-1]
+    assert torch.equal(after[:, :, :-1], depth[:, :, 1:])
+    same = (after[:, :-1] == depth[:, 1:]).flatten(2).all(-1)
+    assert torch.equal(same, ~done)
+
+
+@pytest.mark.slow
+def test_ways_to_store_transitions_are_compared(console, monkeypatch):
+    monkeypatch.setattr(bench_replay, "SIZES", ((10, 14),))
+    rows = {row.name: row for row in bench_replay.run(console, capacity=2_000)}
+    ours, plain = rows["frames once"], rows["TorchRL, stacks as they come"]
+    assert ours.megabytes < 0.5 * plain.megabytes
+    assert plain.megabytes == pytest.approx(2_000 * (8 * 140 + 26) / 1e6, rel=0.1)
+    assert all(row.name in printed(console) for row in rows.values())
+    with pytest.raises(ValueError, match="at least 400"):
+        bench_replay.run(console, capacity=399)
+
+
+@pytest.mark.slow
+def test_a_training_is_taken_apart_once(console, tmp_path):
+    out = tmp_path / "train.json"
+    first = bench_train.run(console, steps=768, collectors=("sync",), out=out)
+    (result,) = first["runs"].values()
+    parts = result["parts"]
+    assert set(parts) <= set(bench_train.PARTS)
+    assert sum(parts.values()) == pytest.approx(result["seconds"])
+    assert parts["update"] > parts["target network"] > 0
+    assert parts["collect"] > 0
+    assert result["peak_megabytes"] > 100
+    assert bench_train.run(console, steps=768, collectors=("sync",), out=out) == first
+    assert json.loads(out.read_text()) == first
+    out.write_text("[]")
+    with pytest.raises(ValueError, match="does not hold results of this benchmark"):
+        bench_train.run(console, steps=768, collectors=("sync",), out=out)
+
+
+@pytest.mark.slow
+def test_what_collectors_learn_is_compared_and_finished_runs_are_kept(console, tmp_path):
+    small = {
+        "camera": DepthCamera(width=20, height=12),
+        "eval_world": "simple_eval",
+        "rearrangements": 0,
+        "num_envs": 4,
+        "steps_per_batch": 32,
+        "warmup_steps": 128,
+        "batch_size": 16,
+        "replay_capacity": 512,
+    }
+
+    def compare():
+        return bench_learning.run(
+            console, out=tmp_path / "x.json", runs=tmp_path, seeds=(0,), steps=512, formats=("float32",), **small
+        )
+
+    results = compare()
+    assert [row["collector"] for row in results["runs"]] == ["sync", "async"]
+    assert all(row["steps"] == [128, 256, 384, 512] for row in results["runs"])
+    changed = {path: path.stat().st_mtime_ns for path in tmp_path.glob("*/policy_last.pt")}
+    assert len(changed) == 2
+    assert compare() == results
+    assert changed == {path: path.stat().st_mtime_ns for path in changed}

@@ -60,7 +60,7 @@ def test_values_are_the_means_of_the_distributions_and_streams_are_dueling(model
     expected = (odds * np.linspace(*RANGE, 5)).sum(-1) / odds.sum(-1)
     np.testing.assert_allclose(values, expected, rtol=1e-4, atol=1e-5)
 
-    hidden = network._hidden(*network.prepare(seen["depth"], seen["heading"])).t()
+    hidden = network.hidden(seen["depth"], seen["heading"]).t()
     value = network.value(hidden[:, :512])
     torch.testing.assert_close(logits.mean(1), value.detach())  # what the advantages add is nothing on average
 

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import itertools
+import multiprocessing
 from dataclasses import replace
 from functools import partial
 
 import pytest
 import torch
+from tensordict.nn import TensorDictModuleBase
 from torchrl.collectors import Collector, MultiSyncCollector
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from navsim.camera import DepthCamera
 from navsim.worldsource import worlds_from
-from rl.collect import explorer, make_collector, make_env, training_worlds
+from rl.collect import CollectorError, explorer, make_collector, make_env, training_worlds
 from rl.config import PRESETS
 from rl.env import NavEnv
 from rl.networks import make_q_actor
@@ -131,3 +133,61 @@ def test_it_works_in_processes_of_their_own():
 def test_the_plain_collector_takes_a_creator():
     collector = Collector(partial(NavEnv, "simple_train", 2, camera=CAMERA), None, frames_per_batch=20, total_frames=40)
     assert sum(batch.numel() for batch in collector) == 40
+
+
+class FailingPolicy(TensorDictModuleBase):
+    """Turns left, and fails at its hundredth call."""
+
+    in_keys, out_keys = ("heading",), ("action",)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.share = torch.nn.Parameter(torch.zeros(1))
+        self.calls = 0
+
+    def forward(self, tensordict):
+        self.calls += 1
+        if self.calls == 100:
+            raise ArithmeticError("the hundredth call")
+        return tensordict.set("action", torch.full(tensordict.batch_size, 2))
+
+
+def test_a_background_collector_goes_on_by_itself_and_its_death_is_told():
+    config = replace(CONFIG, collector="async", epsilon_start=0.0, epsilon_end=0.0)
+    env = make_env(config)
+    actor = make_q_actor("I", 12, 20)
+    collector = make_collector(env, explorer(actor, env, config), config, total_steps=3200)
+    (process,) = collector.procs
+    try:
+        batches = []
+        for batch in itertools.islice(collector, 12):
+            batches.append(batch)
+            if len(batches) == 4:  # from now on, always the same turn
+                with torch.no_grad():
+                    actor.module[0].module.advantage.bias[6] += 1e3
+                collector.update_policy_weights_()
+        assert [batch.shape for batch in batches] == [(4, 8)] * 12
+        for earlier, later in itertools.pairwise(batches):
+            goes_on = ~earlier["next", "done"][:, -1, 0]
+            assert (earlier["next", "depth"][goes_on, -1] == later["depth"][goes_on, 0]).all()
+        assert not (batches[0]["action"] == 6).all()
+        assert (batches[-1]["action"] == 6).all()
+        process.kill()
+        with pytest.raises(CollectorError, match="ended by signal 9"):
+            for _ in collector:
+                pass
+    finally:
+        collector.shutdown(raise_on_error=False)
+    assert not multiprocessing.active_children()
+
+
+def test_an_exception_in_a_background_collector_is_told_with_its_traceback():
+    config = replace(CONFIG, collector="async")
+    collector = make_collector(make_env(config), FailingPolicy(), config, total_steps=3200)
+    try:
+        with pytest.raises(CollectorError, match=r"(?s)Traceback.*ArithmeticError: the hundredth call"):
+            for _ in collector:
+                pass
+    finally:
+        collector.shutdown(raise_on_error=False)
+    assert not multiprocessing.active_children()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from copy import deepcopy
 from dataclasses import replace
 
@@ -12,6 +13,7 @@ from tensordict import TensorDict
 from navsim.camera import DepthCamera
 from rl.config import PRESETS
 from rl.learner import Learner
+from rl.optimiser import SoftUpdateAtOnce
 
 CONFIG = replace(PRESETS["fast"], camera=DepthCamera(width=20, height=12), total_steps=1_000, warmup_steps=200)
 
@@ -105,13 +107,43 @@ def test_it_goes_on_from_its_state_bit_for_bit(target_update):
     assert (target(learner) == target(restored)).all()
 
 
-def test_gradients_are_clipped():
-    learner = Learner(replace(CONFIG, max_grad_norm=1e-6, learning_rate=1.0, learning_rate_decay="none"))
-    before = online(learner).clone()
-    norms = []
-    learner.optimiser.register_step_pre_hook(
-        lambda *_: norms.append(torch.linalg.vector_norm(torch.cat([p.grad.flatten() for p in learner.parameters])))
-    )
-    learner.update(sample())
-    assert float(norms[0]) == pytest.approx(1e-6, rel=1e-3)
-    assert not (online(learner) == before).all()
+@pytest.mark.parametrize("max_grad_norm", [1e-3, 1e6, None])
+def test_steps_are_those_of_pytorch_on_clipped_gradients(max_grad_norm):
+    torch.manual_seed(0)
+    config = replace(CONFIG, max_grad_norm=max_grad_norm, learning_rate_decay="none")
+    learner, plain = Learner(config), Learner(config)
+    plain.load_state_dict(deepcopy(learner.state_dict()))
+    optimiser = torch.optim.Adam(plain.parameters, lr=config.learning_rate)
+    for seed in range(3):
+        learner.update(sample(seed))
+        plain.loss(sample(seed))["loss"].backward()
+        norm = torch.nn.utils.clip_grad_norm_(plain.parameters, max_grad_norm or math.inf)
+        assert 1e-3 < norm < 1e6
+        optimiser.step()
+        optimiser.zero_grad()
+        super(SoftUpdateAtOnce, plain.target_updater).step()
+    torch.testing.assert_close(online(learner), online(plain), rtol=1e-5, atol=1e-7)
+    torch.testing.assert_close(target(learner), target(plain), rtol=1e-5, atol=1e-7)
+    for ours, theirs in zip(learner.optimiser.state.values(), optimiser.state.values(), strict=True):
+        torch.testing.assert_close(ours["exp_avg"], theirs["exp_avg"], rtol=1e-3, atol=1e-7)
+
+
+def test_a_device_that_is_not_there_is_refused(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(ValueError, match="--device cuda: PyTorch finds no such device here; use --device cpu"):
+        Learner(replace(CONFIG, device="cuda"))
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_a_learner_on_a_gpu_learns_what_one_on_the_cpu_does():
+    torch.manual_seed(0)
+    config = replace(CONFIG, autocast="float32")
+    cpu, gpu = Learner(config), Learner(replace(config, device="cuda"))
+    gpu.load_state_dict(deepcopy(cpu.state_dict()))
+    for seed in range(3):
+        one, other = sample(seed), sample(seed)
+        torch.testing.assert_close(gpu.update(other).cpu(), cpu.update(one), rtol=1e-3, atol=1e-4)
+        torch.testing.assert_close(other["td_error"], one["td_error"], rtol=1e-2, atol=1e-3)
+    gpu.hand_over()
+    for name, weight in cpu.actor.state_dict().items():
+        torch.testing.assert_close(gpu.actor.state_dict()[name], weight, rtol=1e-2, atol=1e-3)

@@ -12,7 +12,7 @@ import torch
 from tensordict import TensorDict
 from torch.nn import functional as F
 
-from rl.networks import D3QN, SameConv2d, make_q_actor, same_padding
+from rl.networks import D3QN, SameConv2d, hidden_of_update, make_q_actor, same_padding
 
 SIZES = [(64, 80), (10, 14), (61, 77), (33, 90)]
 """Heights and widths: one of the thesis's, the smallest, and two whose padding is not symmetric."""
@@ -118,7 +118,7 @@ def test_heading_matters_and_enters_from_zero_to_one(model):
     network = D3QN(model, 10, 14)
     depth, _ = observations(3, height=10, width=14)
     heading = torch.tensor([[-math.pi], [0.0], [math.pi]])
-    assert network.prepare(depth, heading)[1].flatten().tolist() == pytest.approx([0.0, 0.5, 1.0])
+    assert network._flat(depth, heading)[1].flatten().tolist() == pytest.approx([0.0, 0.5, 1.0])
     values = network(depth[:1].expand(3, -1, -1, -1), heading)
     assert not torch.allclose(values[0], values[1])
     assert not torch.allclose(values[1], values[2])
@@ -132,7 +132,6 @@ def test_any_batch_dimensions_are_kept(model):
     assert values.shape == (2, 3, 7)
     torch.testing.assert_close(network(depth[1, 2], heading[1, 2]), values[1, 2])
     torch.testing.assert_close(network(depth[1], heading[1]), values[1])
-    torch.testing.assert_close(network(*network.prepare(depth, heading)), values)
 
 
 def test_memory_layout_of_the_images_does_not_matter():
@@ -197,3 +196,33 @@ def test_settings_that_cannot_be_used_are_refused():
     depth, heading = observations(2, height=80, width=64)
     with pytest.raises(ValueError, match=r"\(4, 64, 80\).*\(4, 80, 64\)"):
         network(depth, heading)
+
+
+@pytest.mark.parametrize("model", ["I", "S"])
+@pytest.mark.parametrize("double", [True, False])
+@pytest.mark.parametrize(("height", "width"), SIZES)
+def test_an_update_sees_the_hidden_layers_that_each_network_would_have(model, double, height, width):
+    torch.manual_seed(0)
+    online, target = D3QN(model, height, width), D3QN(model, height, width)
+    observation, next_observation = (observations(11, height=height, width=width) for _ in range(2))
+
+    results = hidden_of_update(online, target, observation, next_observation, double=double)
+
+    expected = online.hidden(*observation), target.hidden(*next_observation), online.hidden(*next_observation)
+    for result, reference in zip(results, (*expected[:2], expected[1 + double]), strict=True):
+        torch.testing.assert_close(result, reference, rtol=1e-4, atol=1e-5)
+    assert not results[1].requires_grad
+    assert not results[2].requires_grad
+    weights = torch.randn_like(results[0])
+    trained = [
+        online.conv1.weight,
+        online.conv2.weight,
+        online.conv3.weight,
+        online.streams.weight,
+        online.streams.bias,
+    ]
+    pairs = zip(
+        *(torch.autograd.grad((hidden * weights).sum(), trained) for hidden in (results[0], expected[0])), strict=True
+    )
+    for gradient, reference in pairs:
+        torch.testing.assert_close(gradient, reference, rtol=1e-4, atol=1e-5 * float(reference.abs().max()))

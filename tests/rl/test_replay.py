@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 from tensordict import TensorDict
 from torchrl.envs.transforms import MultiStepTransform
 
@@ -156,6 +158,58 @@ def test_content_is_that_of_a_replay_that_stores_everything(
     if len(replay):
         sample = replay.sample()
         assert_same_content(sample, naive.read()[sample["index"]])
+
+
+class AnyUse(RuleBasedStateMachine):
+    """Collecting, resets that nobody tells of, sampling, saving and restoring, in any order."""
+
+    @initialize(
+        seed=st.integers(0, 2**16),
+        environments=st.integers(1, 3),
+        n_step=st.integers(1, 4),
+        capacity=st.integers(5, 30),
+        prioritized=st.booleans(),
+    )
+    def begin(self, seed, environments, n_step, capacity, prioritized):
+        self.world = Environments(environments, seed=seed, shades=4)
+        self.make = lambda: make_replay(
+            capacity, HEIGHT, WIDTH, batch_size=5, n_step=n_step, gamma=GAMMA, prioritized=prioritized
+        )
+        self.replay, self.naive = self.make(), NaiveReplay(capacity, n_step)
+
+    @rule(length=st.integers(1, 12))
+    def collect(self, length):
+        batch = self.world.rollout(length)
+        self.replay.extend(batch)
+        self.naive.extend(batch)
+
+    @rule()
+    def reset_the_environments(self):
+        self.world.reset()
+
+    @rule()
+    def go_on_from_a_checkpoint(self):
+        saved = deepcopy(self.replay.state_dict())
+        self.replay = self.make()
+        self.replay.load_state_dict(saved)
+
+    @precondition(lambda self: len(self.replay))
+    @rule()
+    def sample(self):
+        sample = self.replay.sample()
+        assert_same_content(sample, self.naive.read()[sample["index"]])
+        sample["td_error"] = sample["next", "reward"].abs()
+        self.replay.update_tensordict_priority(sample)
+
+    @invariant()
+    def holds_what_a_replay_that_stores_everything_holds(self):
+        assert len(self.replay) == len(self.naive.ring)
+        if len(self.replay):
+            assert_same_content(self.replay[:], self.naive.read())
+
+
+TestAnyUse = AnyUse.TestCase
+TestAnyUse.settings = settings(max_examples=12, stateful_step_count=15, deadline=None)
 
 
 @pytest.mark.parametrize("shape", [(6,), (2, 6), (2, 3, 6)])

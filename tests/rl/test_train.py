@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -128,3 +134,45 @@ def test_the_thesis_preset_trains(tmp_path):
     run = train(settings, console=QUIET)
     assert run.metrics.rows()[-1]["loss"]
     assert (run.directory / "policy.pt").exists()
+
+
+def processes_of(directory: Path) -> list[int]:
+    """Living processes whose command line, or whose parent's, names ``directory``."""
+    named = set()
+    for path in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            parent = int((path / "stat").read_text().rpartition(")")[2].split()[1])
+            if str(directory) in (path / "cmdline").read_text() or parent in named:
+                named.add(int(path.name))
+    return sorted(named)
+
+
+def is_alive(process: int) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_an_asynchronous_run_leaves_no_process_and_no_shared_memory(tmp_path, number):
+    command = [sys.executable, "-m", "rl.cli", "train", "--collector", "async", "--out", str(tmp_path / "run")]
+    small = ["--rearrangements", "0", "--camera.width", "20", "--camera.height", "12", "--log-interval", "64"]
+    small += ["--warmup-steps", "64", "--autocast", "float32"]
+    shared = set(os.listdir("/dev/shm"))
+    with subprocess.Popen(command + small, stderr=subprocess.PIPE, start_new_session=True, text=True) as process:
+        deadline = time.monotonic() + 240
+        while len(Run(tmp_path / "run").metrics.rows()) < 3 and time.monotonic() < deadline:
+            time.sleep(0.2)
+        family = processes_of(tmp_path)
+        assert len(family) >= 2
+        os.killpg(process.pid, number) if number == signal.SIGINT else process.kill()
+        _, errors = process.communicate(timeout=120)
+    if number == signal.SIGINT:
+        assert "stopped; to go on from the last checkpoint" in errors
+        assert process.returncode == 130
+    while any(map(is_alive, family)) and time.monotonic() < deadline:
+        time.sleep(0.2)
+    assert not any(map(is_alive, family))
+    assert set(os.listdir("/dev/shm")) <= shared

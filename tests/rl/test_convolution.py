@@ -1,0 +1,59 @@
+"""Convolutions as products of matrices, beside PyTorch's own."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch.nn import functional as F
+
+from rl.convolution import ByteConvolution, Convolution, Geometry, patches, sum_patches
+
+GEOMETRIES = [
+    ((9, 11), Geometry((4, 4), 2, (1, 1), (1, 1), (4, 5))),
+    ((9, 11), Geometry((4, 5), 3, (0, 1), (1, 1), (3, 3))),
+    ((4, 5), Geometry((3, 3), 1, (1, 1), (1, 1), (4, 5))),
+    ((12, 20), Geometry((10, 14), 8, (3, 3), (1, 1), (2, 2))),
+]
+
+
+def padded(images: torch.Tensor, geometry: Geometry) -> torch.Tensor:
+    return F.pad(images, (*geometry.columns, *geometry.rows))
+
+
+@pytest.mark.parametrize(("size", "geometry"), GEOMETRIES)
+@pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last])
+def test_convolution_and_its_gradients_are_those_of_pytorch(size, geometry, layout):
+    images = torch.randn(3, 2, *size).contiguous(memory_format=layout).requires_grad_()
+    weight, bias = torch.randn(6, 2, *geometry.kernel, requires_grad=True), torch.randn(6, requires_grad=True)
+    ours = Convolution.apply(images, weight, bias, geometry)
+    expected = F.conv2d(padded(images, geometry), weight, bias, geometry.stride)
+    torch.testing.assert_close(ours, expected, rtol=1e-4, atol=1e-4)
+    upstream = torch.randn_like(expected)
+    inputs = (images, weight, bias)
+    for gradient, reference in zip(
+        torch.autograd.grad(ours, inputs, upstream), torch.autograd.grad(expected, inputs, upstream), strict=True
+    ):
+        torch.testing.assert_close(gradient, reference, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize(("size", "geometry"), GEOMETRIES)
+@pytest.mark.parametrize("batch", [1, 1300])
+def test_images_of_bytes_are_convolved_in_portions(size, geometry, batch):
+    images = torch.randint(0, 256, (batch, 4, *size), dtype=torch.uint8)
+    weight = torch.randn(5, 4, *geometry.kernel, requires_grad=True)
+    flat = weight.permute(0, 2, 3, 1).flatten(1)
+    ours = ByteConvolution.apply(images, flat, geometry).view(batch, *geometry.output, 5).permute(0, 3, 1, 2)
+    expected = F.conv2d(padded(images.float(), geometry), weight, None, geometry.stride)
+    torch.testing.assert_close(ours, expected, rtol=1e-4, atol=0.1)
+    upstream = torch.randn_like(expected)
+    (gradient,), (reference,) = (torch.autograd.grad(result, weight, upstream) for result in (ours, expected))
+    torch.testing.assert_close(gradient, reference, rtol=1e-3, atol=1e-4 * float(reference.abs().max()))
+
+
+@pytest.mark.parametrize(("size", "geometry"), GEOMETRIES)
+def test_summing_patches_is_the_transpose_of_taking_them(size, geometry):
+    images = torch.randn(2, *size, 3, dtype=torch.float64)
+    taken = patches(images, geometry, torch.float64)
+    values = torch.randn_like(taken)
+    summed = sum_patches(values, geometry, tuple(images.shape))
+    torch.testing.assert_close((taken * values).sum(), (images * summed).sum())
