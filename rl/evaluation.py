@@ -510,7 +510,11 @@ def _point(place: np.ndarray) -> tuple[float, float]:
 
 def few_paths(worlds: Sequence[World]) -> int | None:
     """How many paths tell enough while training: all of one world; of several 100, or one in each."""
-    return None if len(worlds) == 1 else max(_DRAWN_PATHS, len(worlds))
+    return None if len(worlds) == 1 else min(max(_DRAWN_PATHS, len(worlds)), sum(map(_number_of_paths, worlds)))
+
+
+def _number_of_paths(world: World) -> int:
+    return len(world.paths) or _DRAWN_PATHS
 
 
 def _all_paths(worlds: Sequence[World], num_paths: int | None, seed: int) -> list[Path]:
@@ -519,9 +523,8 @@ def _all_paths(worlds: Sequence[World], num_paths: int | None, seed: int) -> lis
         raise ValueError(f"num_paths must be at least 1; got {num_paths}")
     if len(worlds) == 1:
         return _paths_of(worlds[0], num_paths)
-    listed = [len(world.paths) or _DRAWN_PATHS for world in worlds]
     if num_paths is None:
-        num_paths = min(sum(listed), max(MOST_PATHS, len(worlds)))
+        num_paths = min(max(MOST_PATHS, len(worlds)), sum(map(_number_of_paths, worlds)))
     if num_paths < len(worlds):
         raise ValueError(f"num_paths ({num_paths}) must be at least 1 in each of the {len(worlds)} worlds")
     shares = _shared_out(num_paths, [len(world.paths) or num_paths for world in worlds])
