@@ -12,8 +12,8 @@ from rl.cli import main
 
 DATA = Path(__file__).parents[1] / "navsim" / "convert" / "data"
 BRIEF = [
-    *("--total-steps", "160", "--warmup-steps", "64", "--batch-size", "16", "--num-envs", "4"),
-    *("--steps-per-batch", "32", "--eval-interval", "160", "--checkpoint-interval", "160", "--log-interval", "80"),
+    *("--total-steps", "64", "--warmup-steps", "32", "--batch-size", "16", "--num-envs", "4"),
+    *("--steps-per-batch", "32", "--eval-interval", "64", "--checkpoint-interval", "64", "--log-interval", "32"),
     *("--camera.width", "20", "--camera.height", "16", "--task.max-steps", "20"),
     *("--num-threads", "1", "--autocast", "float32", "--rearrangements", "0", "--no-report"),
 ]

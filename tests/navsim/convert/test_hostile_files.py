@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import navsim
-from navsim.convert import ConversionError, import_world, load_ros_map, load_sdf, save_ros_map
+from navsim.convert import ConversionError, import_world, load_ros_map, load_sdf, save_ros_map, yamlfile
 from navsim.convert.irsim import read_irsim
 from navsim.convert.ros_map import read_ros_map
 from navsim.convert.sdf import read_sdf
@@ -131,7 +131,8 @@ def test_a_file_that_is_not_there_is_told(tmp_path, name):
         read_bytes(path)
 
 
-def test_yaml_that_grows_without_bounds_is_refused(tmp_path):
+def test_yaml_that_grows_without_bounds_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(yamlfile, "MOST_VALUES", 20_000)
     levels = "\n".join(f"k{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 8))
     merges = "\n".join(f"m{i}: &m{i} {{<<: [{', '.join([f'*m{i - 1}'] * 10)}]}}" for i in range(1, 8))
     for text in (f"k0: &a0 [1]\n{levels}\nworld: {{}}", f"m0: &m0 {{a: 1}}\n{merges}\nworld: {{}}", "[" * 3000):
@@ -207,13 +208,13 @@ def check_mangled_map(changes, directory: Path) -> None:
 FIXTURE = [HealthCheck.function_scoped_fixture]
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=FIXTURE)
+@settings(max_examples=100, deadline=None, suppress_health_check=FIXTURE)
 @given(edits)
 def test_mangled_sdf_is_read_or_refused(tmp_path, changes):
     check_mangled_sdf(changes, tmp_path)
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=FIXTURE)
+@settings(max_examples=100, deadline=None, suppress_health_check=FIXTURE)
 @given(edits)
 def test_mangled_irsim_is_read_or_refused(tmp_path, changes):
     check_mangled_irsim(changes, tmp_path)

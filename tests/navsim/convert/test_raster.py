@@ -33,7 +33,7 @@ def polygons_of(mask: np.ndarray, tolerance: float) -> list[shapely.Polygon]:
     return polygons
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(grids)
 def test_outlines_without_tolerance_are_the_cells_exactly_and_do_not_overlap(mask):
     polygons = polygons_of(mask, 0.0)
@@ -41,7 +41,7 @@ def test_outlines_without_tolerance_are_the_cells_exactly_and_do_not_overlap(mas
     assert shapely.union_all(polygons).symmetric_difference(cells_of(mask)).area < 1e-9
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(grids, st.sampled_from([0.5, 0.75, 1.5]))
 def test_simplified_outlines_stay_within_the_tolerance_of_the_cells(mask, tolerance):
     cells, union = cells_of(mask), shapely.union_all(polygons_of(mask, tolerance))
@@ -49,7 +49,7 @@ def test_simplified_outlines_stay_within_the_tolerance_of_the_cells(mask, tolera
     assert cells.difference(union.buffer(tolerance + 1e-9)).area < 1e-9
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.5, 0.75, 1.5]))
 def test_pieces_of_one_patch_keep_the_border_between_them(seed, tolerance):
     """Or else one could see through where a patch is cut."""
@@ -91,7 +91,7 @@ def test_pockets_are_filled_if_nothing_of_that_radius_fits_into_them():
     assert not filled[0:10, 30:34].any()  # a bay, not a pocket
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_cells_are_occupied_exactly_where_a_footprint_reaches_into_them(seed):
     generator = np.random.default_rng(seed)
