@@ -88,6 +88,8 @@ class SameConv2d(nn.Conv2d):
         geometry: where the kernel is put.
     """
 
+    bias: Tensor
+
     def __init__(
         self,
         in_channels: int,
