@@ -263,7 +263,7 @@ def stable_baselines_update(sample: TensorDict, config: TrainConfig) -> Callable
                 layers += [nn.Conv2d(channels, width, kernel, stride, padding), nn.ReLU()]
                 channels = width
             network = nn.Sequential(*layers, nn.Flatten())
-            size = network(torch.zeros(1, *observation_space.shape)).shape[1]
+            size = network(torch.zeros(1, *space.shape)).shape[1]
             super().__init__(observation_space, size)
             self.network = network
 
@@ -297,7 +297,7 @@ def stable_baselines_update(sample: TensorDict, config: TrainConfig) -> Callable
         after["reward"],
         discounts,
     )
-    model.replay_buffer.sample = lambda *_, **__: fixed
+    setattr(model.replay_buffer, "sample", lambda *_, **__: fixed)  # noqa: B010 - it is a method
 
     def update() -> None:
         model.train(gradient_steps=1, batch_size=len(sample))

@@ -29,9 +29,9 @@ class Setting(NamedTuple):
 
 def matrix(formats: Sequence[Format] | None = None) -> list[Setting]:
     """Both collectors with each format; by default bfloat16 only where the processor multiplies faster in it."""
-    if formats is None:
-        formats = ("float32", "bfloat16") if fastest_autocast() is not None else ("float32",)
-    return [Setting(collector, number_format) for number_format in formats for collector in ("sync", "async")]
+    chosen: Sequence[Format] = formats or (("float32", "bfloat16") if fastest_autocast() is not None else ("float32",))
+    collectors: tuple[Collector, ...] = ("sync", "async")
+    return [Setting(collector, number_format) for number_format in chosen for collector in collectors]
 
 
 def run(

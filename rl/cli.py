@@ -300,8 +300,9 @@ def bench_train(
     """
     from rl.bench_train import run
 
-    kinds = ("sync", "async") if collector == "both" else (collector,)
-    run(Console(), steps=steps, exact=exact, collectors=kinds, out=out)
+    kinds: dict[str, tuple[Literal["sync", "async"], ...]] = {"both": ("sync", "async")}
+    kinds |= {"sync": ("sync",), "async": ("async",)}
+    run(Console(), steps=steps, exact=exact, collectors=kinds[collector], out=out)
 
 
 @_bench.command(name="learning")

@@ -25,6 +25,7 @@ docs/performance.md tells what each of these gives, and what was tried besides.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple, get_args
 
 import torch
@@ -86,6 +87,8 @@ class SameConv2d(nn.Conv2d):
         output_size: (height, width) of the output.
         geometry: where the kernel is put.
     """
+
+    bias: Tensor
 
     def __init__(
         self,
@@ -277,8 +280,8 @@ class _Streams(torch.autograd.Function):
 def hidden_of_update(
     online: D3QN,
     target: D3QN,
-    observation: tuple[Tensor, Tensor],
-    next_observation: tuple[Tensor, Tensor],
+    observation: Sequence[Tensor],
+    next_observation: Sequence[Tensor],
     *,
     double: bool,
 ) -> tuple[Tensor, Tensor, Tensor]:
@@ -297,8 +300,7 @@ def hidden_of_update(
     Returns:
         online of s, target of s' and, equal to the second unless ``double``, online of s', each ``(1024, B)``.
     """
-    depth, heading = online._flat(*observation)
-    next_depth, next_heading = online._flat(*next_observation)
+    (depth, heading), (next_depth, next_heading) = online._flat(*observation), online._flat(*next_observation)
     networks = (target, online) if double else (target,)
     with torch.no_grad():
         kernels = [network._byte_kernel() for network in networks]
