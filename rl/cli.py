@@ -170,7 +170,7 @@ def report(run: Positional[Path]) -> None:
     print(path)
 
 
-_navsim.command(world_commands, name="world", help="Check world files, or draw one.")
+_navsim.command(world_commands, name="world", help="Check and draw world files; say what they may hold.")
 _navsim.command(_bench, name="bench", help="Measure how fast this machine simulates and learns.")
 
 
