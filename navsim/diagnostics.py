@@ -85,7 +85,7 @@ def _underlined(line: str, finding: Finding, width: int) -> tuple[Text, Text]:
     begin, end = finding.column - 1, max(finding.end_column - 1, finding.column)
     room = max(20, width - _MARGIN - 3)
     first = 0
-    while cell_len(line[first : min(end + 4, begin + room // 2)]) > room - 2:
+    while cell_len(line[first : min(end, begin + room // 2)]) > room - 2:
         first += 1
     shown = "…" + line[first + 1 :] if first else line
     if cell_len(shown) > room:
