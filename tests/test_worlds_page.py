@@ -39,7 +39,7 @@ def run_tutorial(capsys, with_training: bool) -> tuple[int, int]:
             for line in block.splitlines():
                 program, *arguments = shlex.split(line)
                 assert program == "navsim"
-                if with_training or arguments[0] == "world" and "--solve" not in arguments:
+                if with_training or (arguments[0] == "world" and "--solve" not in arguments):
                     status = main(arguments)
                     ran += 1
         elif kind == "text":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import json
 import math
 
@@ -265,7 +266,7 @@ def test_long_lines_are_cut_so_that_the_fault_is_seen(before):
     text = ROOM + f"walls: {{height: 1, {before or 'a'}: 1, hight: 2, {'y' * 300}: 2}}\n"
     for width in (40, 80):
         rows = printed(text, width).splitlines()
-        carets = [(source, row) for source, row in zip(rows, rows[1:], strict=False) if "^" in row and "│" in row]
+        carets = [(source, row) for source, row in itertools.pairwise(rows) if "^" in row and "│" in row]
         assert len(carets) == 3
         source, row = carets[1]
         assert cell_len(source) <= width
