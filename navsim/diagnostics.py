@@ -85,11 +85,13 @@ def _underlined(line: str, finding: Finding, width: int) -> tuple[Text, Text]:
     begin, end = finding.column - 1, max(finding.end_column - 1, finding.column)
     room = max(20, width - _MARGIN - 3)
     first = 0
-    if cell_len(line) > room and end > room - 5:
-        first = max(0, min(begin - 10, len(line) - room + 2))
-    shown = ("…" if first else "") + line[first + bool(first) :]
+    while cell_len(line[first : min(end, begin + room // 2)]) > room - 2:
+        first += 1
+    shown = "…" + line[first + 1 :] if first else line
     if cell_len(shown) > room:
-        shown = shown[: room - 1] + "…"
+        while cell_len(shown) > room - 1:
+            shown = shown[:-1]
+        shown += "…"
     end = min(end, first + len(shown))
     before = cell_len(shown[: begin - first])
     carets = max(1, cell_len(shown[begin - first : end - first]))

@@ -554,3 +554,39 @@ def test_a_world_of_ten_thousand_obstacles_is_read():
     assert world.obstacles[-1].name == "box 10000"
     assert len(world.prisms) == 10_004
     assert shapely.Polygon(world.prisms[5000].vertices).area == pytest.approx(0.25)
+
+
+def test_an_interrupted_save_leaves_the_file_that_was_there(tmp_path, monkeypatch):
+    file = tmp_path / "room.yaml"
+    world = parse_text(EXAMPLE)
+    save_world(world, file)
+    before = file.read_text()
+
+    def fail(*_):
+        raise OSError(28, "No space left on device", "room.yaml")
+
+    for broken in ("os.fsync", "os.replace"):
+        with monkeypatch.context() as patch:
+            patch.setattr(broken, fail)
+            with pytest.raises(OSError, match="No space left"):
+                save_world(world.replace(name="other"), file)
+        assert file.read_text() == before
+        assert [path.name for path in tmp_path.iterdir()] == ["room.yaml"]
+
+
+def test_a_save_keeps_permissions_and_links(tmp_path):
+    file, link = tmp_path / "room.yaml", tmp_path / "link.yaml"
+    file.write_text("")
+    file.chmod(0o640)
+    link.symlink_to(file)
+    save_world(parse_text(EXAMPLE), link)
+    assert link.is_symlink()
+    assert load_world(file) == parse_text(EXAMPLE)
+    assert file.stat().st_mode & 0o777 == 0o640
+    (tmp_path / "plain").write_text("")
+    save_world(parse_text(EXAMPLE), tmp_path / "new.yaml")
+    assert (tmp_path / "new.yaml").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+def test_a_problem_with_a_key_that_is_left_out_is_shown_where_it_is_missing():
+    assert problem_of("# small\nformat: 1\nsize: [0.3, 0.3]\n").startswith("room.yaml:2:1: starts: there is no room")

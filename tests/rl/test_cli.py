@@ -257,10 +257,13 @@ def wait_for(condition, seconds: float) -> None:
 
 def test_good_worlds_are_described(room, capsys):
     assert main(["world", "check", str(room), "complex_eval"]) == 0
-    first, second = capsys.readouterr().out.splitlines()
-    assert first.startswith(f"{room}: ")
+    out = capsys.readouterr().out
+    first, second = (line for line in out.splitlines() if not line.startswith(" "))
+    assert first.startswith(f"{room}: ok")
     assert "1 obstacle, 1 start, 2 goals" in first
     assert "5 starts, 20 goals" in second
+    assert "49 m², 11.3% covered by 18 boxes, 16 cylinders" in out
+    assert "1.00 m at the narrowest between 'sofa' and 'carton B'" in out
 
 
 def test_everything_that_is_wrong_with_worlds_is_told_with_its_place(room, tmp_path, capsys):
@@ -275,7 +278,38 @@ def test_everything_that_is_wrong_with_worlds_is_told_with_its_place(room, tmp_p
     assert "Traceback" not in stderr
 
 
-@pytest.mark.parametrize(("options", "picture"), [([], "room.png"), (["-o", "plans/plan.svg"], "plans/plan.svg")])
+def test_warnings_fail_only_when_they_are_meant_to(tmp_path, capsys):
+    odd = tmp_path / "odd.yaml"
+    odd.write_text("format: 1\nsize: [4, 4]\nobstacles:\n  - box: {at: [2, 0], size: [1, 1], height: 1}\n")
+    assert main(["world", "check", str(odd)]) == 0
+    assert f"{odd}:4:5: warning: obstacles[0].box: reaches 0.5 m beyond the room" in capsys.readouterr().err
+    assert main(["world", "check", "--strict", str(odd)]) == 1
+    capsys.readouterr()
+    assert main(["world", "check", "--json", str(odd)]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    assert json.loads(out)[0]["findings"][0]["severity"] == "warning"
+
+
+def test_the_schema_is_printed_or_written(tmp_path, capsys):
+    assert main(["world", "schema"]) == 0
+    printed = capsys.readouterr().out
+    assert json.loads(printed)["$schema"].endswith("2020-12/schema")
+    assert main(["world", "schema", "-o", str(tmp_path / "world.schema.json")]) == 0
+    assert (tmp_path / "world.schema.json").read_text() == printed
+    capsys.readouterr()
+    assert main(["world", "schema", "--markdown"]) == 0
+    assert "| `yaw_deg` | −360 to 360 |" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "picture"),
+    [
+        ([], "room.png"),
+        (["-o", "plans/plan.svg"], "plans/plan.svg"),
+        (["--camera", "-1,0.5,90", "--no-names"], "room.png"),
+    ],
+)
 def test_a_world_is_drawn_where_it_says(room, tmp_path, monkeypatch, capsys, options, picture):
     monkeypatch.chdir(tmp_path)
     assert main(["world", "show", str(room), *options]) == 0
@@ -385,6 +419,8 @@ def told(capsys) -> str:
         ("report nowhere", "nowhere is not a run's directory"),
         ("world", "Expected one of {check"),
         ("world edit simple_train", "simple_train: is a shipped world; edit a copy"),
+        ("world show simple_eval --camera 1,2", "'1,2' is not a place to look from; write three numbers x,y,yaw"),
+        ("world show simple_eval --camera 1,2,inf", "is not a place to look from"),
         ("world show nowhere", "nowhere: there is no such world file"),
         ("world show simple_eval -o plan.docx", "plan.docx: pictures are written as"),
         ("bench env --world nowhere", "nowhere: there is no such world file"),
@@ -429,7 +465,7 @@ def test_damaged_files_of_a_run_are_named(room, tmp_path, capsys):
 def test_a_mistake_of_the_library_keeps_its_traceback(monkeypatch, room):
     import numpy as np
 
-    def broken(*_):
+    def broken(*_, **__):
         return np.zeros(3) + np.zeros(4)
 
     monkeypatch.setattr("navsim.show.save_plan_view", broken)
