@@ -49,8 +49,8 @@ def random_room(rng: np.random.Generator, obstacles: int = 24, size: float = 7.0
         else:
             corners = int(rng.integers(3, 9))
             angle = (np.arange(corners) + rng.uniform(0.0, 0.9, corners)) * 2.0 * math.pi / corners
+            at = np.clip(at, 0.6 - 0.5 * size, 0.5 * size - 0.6)  # so that all corners are in the room
             points = at + rng.uniform(0.1, 0.6, (corners, 1)) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-            points = np.clip(points, -0.5 * size, 0.5 * size)
             shape = {"points": points[:: rng.choice([-1, 1])].tolist()}
         entries.append({("box", "cylinder", "polygon")[kind]: {**shape, "base": base, "height": height}})
     return {"format": 1, "size": [size, size], "obstacles": entries}

@@ -109,6 +109,7 @@ def test_shipped_worlds_look_the_same_to_mujoco(name):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_worlds_look_the_same_to_embree_and_to_mujoco_from_everywhere(name):
     description, _ = shipped(name)
@@ -156,7 +157,7 @@ def test_generated_rooms_look_the_same_to_mujoco():
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(1200)
+@pytest.mark.timeout(1800)
 def test_many_generated_rooms_look_the_same_to_embree_and_to_mujoco():
     compare_generated_rooms(MeshReference, rooms=150, large=20, small=80, seed=400, least=14_000)
     compare_generated_rooms(MujocoReference, rooms=150, large=4, small=40, seed=500, least=6_000)
