@@ -122,6 +122,8 @@ def evaluate(
     json: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(optional)")] = None,
     seed: int = 0,
     num_paths: Annotated[int | None, arg(help_behavior_hint="(default: all, or 100 drawn ones)")] = None,
+    ideal: FlagCreatePairsOff[bool] = False,
+    randomized: FlagCreatePairsOff[bool] = False,
 ) -> None:
     """Drive all paths of a world with a trained policy or a baseline, and print how that went.
 
@@ -131,13 +133,21 @@ def evaluate(
         json: File to write every path and all the numbers to.
         seed: Seed of whatever the world leaves open: yaws of starts, starts, goals.
         num_paths: Paths to drive: the first that the world lists, or this many if it leaves starts or goals open.
+        ideal: Show ideal images, whatever noise, losses and latency the run was trained with.
+        randomized: Draw camera, wheels, sensor and starts for each path, from the ranges the run was trained with.
     """
+    from navsim.randomization import Randomization
+    from navsim.sensor import SensorModel
     from rl.evaluation import comparison_table
     from rl.evaluation import evaluate as drive
     from rl.policies import find_policy
 
     console = Console()
     policy, config = find_policy(run)
+    if randomized and config.randomization == Randomization():
+        raise ValueError(
+            f"{run} was trained without randomization, so there is nothing to draw: leave --randomized out"
+        )
     result = drive(
         policy,
         world,
@@ -145,6 +155,8 @@ def evaluate(
         camera=config.camera,
         task=config.task,
         robot=config.robot,
+        sensor=SensorModel() if ideal else config.sensor,
+        randomization=config.randomization if randomized else None,
         seed=seed,
         num_paths=num_paths,
         console=console,
