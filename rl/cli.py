@@ -199,6 +199,21 @@ def bench_camera(peers: FlagCreatePairsOff[bool] = False) -> None:
         run(peers=peers, console=Console())
 
 
+@_bench.command(name="sensor")
+def bench_sensor(world: str = "complex_train") -> None:
+    """What a pitched camera and the sensor's noise, losses and latency cost.
+
+    Args:
+        world: World file, or name of a shipped world.
+    """
+    from navsim.bench_sensor import run
+    from rl.memory import keep_freed_memory
+
+    keep_freed_memory()  # as training does
+    with busy("rendering"):
+        run(world=world, console=Console())
+
+
 @_bench.command(name="env")
 def bench_env(world: str = "complex_train") -> None:
     """Transitions a second of the environment, and where their time goes.

@@ -243,6 +243,7 @@ def test_a_world_is_drawn_where_it_says(room, tmp_path, monkeypatch, capsys, opt
     ("arguments", "module", "passed"),
     [
         (["camera", "--peers"], "navsim.bench_camera", {"peers": True}),
+        (["sensor", "--world", "simple_eval"], "navsim.bench_sensor", {"world": "simple_eval"}),
         (["env", "--world", "simple_eval"], "rl.bench_env", {"world": "simple_eval"}),
         (["learner", "--num-threads", "2"], "rl.bench_learner", {"num_threads": 2}),
     ],
