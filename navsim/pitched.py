@@ -222,7 +222,7 @@ def _circles(view: View, rows: _Rows, camera: DepthCamera) -> tuple[np.ndarray, 
     # |left - s forward| = radius sqrt(1 + s^2) at the two tangents; a circle that reaches behind the camera may fill a
     # row to its border, which the discriminant below sorts out pixel by pixel.
     power = forward**2 + left**2 - radius**2
-    ahead = forward > radius
+    ahead = (forward > radius) & (radius > 0.0)
     squared = np.where(ahead, forward**2 - radius**2, 1.0)
     root = radius * np.sqrt(np.maximum(power, 0.0))
     high = np.where(ahead, (left * forward + root) / squared, np.inf)

@@ -261,8 +261,9 @@ class Sensor:
 
         if model.lateral_noise > 0.0 and angle is not None:
             sigma = level * np.float32(model.lateral_noise) * lateral_sigma(angle)
+            uniform = self._uniform(robots)
             along, across = (
-                _displaced(inverse, self._normal(robots) * (sigma * np.float32(share)), self._uniform(robots), axis)
+                _displaced(inverse, self._normal(robots) * (sigma * np.float32(share)), uniform, axis)
                 for axis, share in ((-1, camera.width / KINECT_COLUMNS), (-2, camera.height / KINECT_ROWS))
             )
             step = across - inverse
@@ -285,13 +286,16 @@ class Sensor:
         """``(K, H, W)`` bool, the pixels that return nothing."""
         model = self._model
         lost = in_shadow(inverse, self._camera) if model.shadows else np.zeros(inverse.shape, dtype=bool)
+        if model.edge_loss == model.grazing_loss == 0.0:
+            return lost
+        kept = np.ones(inverse.shape, dtype=np.float32)  # probability of a return
         if model.edge_loss > 0.0:
-            lost |= beside_edge(inverse) & (self._uniform(robots) < np.float32(model.edge_loss) * level)
+            kept -= beside_edge(inverse) * np.minimum(np.float32(model.edge_loss) * level, np.float32(1.0))
         if model.grazing_loss > 0.0 and angle is not None:
             share = (angle - np.float32(GRAZING_BEGINS)) / np.float32(GRAZING_ENDS - GRAZING_BEGINS)
-            share = np.minimum(share, np.float32(1.0)) * np.float32(model.grazing_loss) * level
-            lost |= self._uniform(robots) < share
-        return lost
+            share = np.clip(share, 0.0, 1.0) * np.float32(model.grazing_loss) * level
+            kept *= np.maximum(np.float32(1.0) - share, 0.0)
+        return lost | (self._uniform(robots) >= kept)
 
     def _normal(self, robots: np.ndarray) -> np.ndarray:
         """``(K, H, W)`` float32, standard normal numbers of each robot."""
@@ -315,12 +319,27 @@ def _displaced(inverse: np.ndarray, shift: np.ndarray, uniform: np.ndarray, axis
     of both is seen, and the other with the probability of the remaining fraction of a pixel: somewhere between the
     pixels lies the silhouette, and anywhere with equal right.
     """
-    image, shift, uniform = (np.moveaxis(values, axis, -1) for values in (inverse, shift, uniform))
-    last = image.shape[-1] - 1
-    whole = np.floor(shift)
-    part = shift - whole
-    before = np.arange(last + 1) + whole.astype(np.intp)
-    values = [np.take_along_axis(image, np.clip(before + more, 0, last), axis=-1) for more in (0, 1)]
-    step = values[1] - values[0]
-    share = np.where(np.abs(step) < np.float32(EDGE / DISPARITY), part, (uniform < part).astype(np.float32))
-    return np.moveaxis(values[0] + share * step, -1, axis)
+    last = inverse.shape[axis] - 1
+    if last == 0:
+        return inverse
+    step = np.diff(inverse, axis=axis)
+    border = np.zeros_like(inverse[..., :1] if axis == -1 else inverse[..., :1, :])
+    ahead, behind = np.concatenate([step, border], axis=axis), np.concatenate([border, step], axis=axis)
+    step = np.where(shift > 0.0, ahead, behind)
+    seen = inverse + shift * step
+    edge = np.flatnonzero(np.abs(step) >= np.float32(EDGE / DISPARITY))  # few, as are shifts of whole pixels
+    moved = shift.reshape(-1)[edge]
+    jump = (uniform.reshape(-1)[edge] < np.abs(moved)) * np.sign(moved) * step.reshape(-1)[edge]
+    seen.reshape(-1)[edge] = inverse.reshape(-1)[edge] + jump
+    if max(shift.max(initial=0.0), -shift.min(initial=0.0)) >= 1.0:
+        far = np.nonzero(np.abs(shift) >= 1.0)
+        whole = np.floor(shift[far])
+        part = shift[far] - whole
+        before = list(far)
+        before[axis] = np.clip(far[axis] + whole.astype(np.intp), 0, last)
+        after = list(far)
+        after[axis] = np.clip(far[axis] + whole.astype(np.intp) + 1, 0, last)
+        step = inverse[tuple(after)] - inverse[tuple(before)]
+        share = np.where(np.abs(step) < np.float32(EDGE / DISPARITY), part, uniform[far] < part)
+        seen[far] = inverse[tuple(before)] + share * step
+    return seen

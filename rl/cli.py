@@ -126,6 +126,8 @@ def evaluate(
     json: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(optional)")] = None,
     seed: int = 0,
     num_paths: Annotated[int | None, arg(help_behavior_hint="(default: all, up to 1000 in several worlds)")] = None,
+    ideal: FlagCreatePairsOff[bool] = False,
+    randomized: FlagCreatePairsOff[bool] = False,
 ) -> None:
     """Drive the paths of a world, or of several, with a trained policy or a baseline, and print how that went.
 
@@ -137,13 +139,21 @@ def evaluate(
         seed: Seed of whatever the worlds leave open: yaws of starts, starts, goals, which paths of several worlds.
         num_paths: Paths to drive: the first that the world lists, or this many if it leaves starts or goals open; of
             several worlds this many together, evenly shared out.
+        ideal: Show ideal images, whatever noise, losses and latency the run was trained with.
+        randomized: Draw camera, wheels, sensor and starts for each path, from the ranges the run was trained with.
     """
+    from navsim.randomization import Randomization
+    from navsim.sensor import SensorModel
     from rl.evaluation import comparison_table
     from rl.evaluation import evaluate as drive
     from rl.policies import find_policy
 
     console = Console()
     policy, config = find_policy(run)
+    if randomized and config.randomization == Randomization():
+        raise ValueError(
+            f"{run} was trained without randomization, so there is nothing to draw: leave --randomized out"
+        )
     result = drive(
         policy,
         world,
@@ -151,6 +161,8 @@ def evaluate(
         camera=config.camera,
         task=config.task,
         robot=config.robot,
+        sensor=SensorModel() if ideal else config.sensor,
+        randomization=config.randomization if randomized else None,
         seed=seed,
         num_paths=num_paths,
         console=console,
@@ -228,6 +240,21 @@ def bench_world() -> None:
 
     with busy("loading"):
         run(Console())
+
+
+@_bench.command(name="sensor")
+def bench_sensor(world: str = "complex_train") -> None:
+    """What a pitched camera and the sensor's noise, losses and latency cost.
+
+    Args:
+        world: World file, or name of a shipped world.
+    """
+    from navsim.bench_sensor import run
+    from rl.memory import keep_freed_memory
+
+    keep_freed_memory()  # as training does
+    with busy("rendering"):
+        run(world=world, console=Console())
 
 
 @_bench.command(name="env")

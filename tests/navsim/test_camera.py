@@ -64,6 +64,16 @@ def test_cameras_are_values():
         ({"mount_y": math.nan}, "camera mount_y must be a finite number of metres; got nan"),
         ({"mount_z": 0.0}, "camera mount_z must be above the floor, in metres; got 0.0"),
         ({"mount_z": math.inf}, "camera mount_z must be above the floor, in metres; got inf"),
+        (
+            {"pitch_deg": 67.0},
+            "camera pitch_deg must leave every pixel's view ahead of the robot, so that |pitch_deg| plus half of "
+            "vertical_fov_deg (46.83) is under 90 degrees; got 67.0",
+        ),
+        (
+            {"pitch_deg": math.nan},
+            "camera pitch_deg must leave every pixel's view ahead of the robot, so that |pitch_deg| plus half of "
+            "vertical_fov_deg (46.83) is under 90 degrees; got nan",
+        ),
         ({"min_range": -0.1}, "camera ranges must satisfy 0 <= min_range < max_range; got -0.1 and 5.0"),
         ({"max_range": 0.05}, "camera ranges must satisfy 0 <= min_range < max_range; got 0.05 and 0.05"),
         ({"max_range": math.inf}, "camera ranges must satisfy 0 <= min_range < max_range; got 0.05 and inf"),
@@ -143,3 +153,34 @@ def test_least_floor_depth_is_where_the_lowest_row_meets_the_floor(depth):
 
 def test_a_camera_that_looks_over_the_floor_sees_it_nowhere():
     assert DepthCamera(height=1).least_floor_depth == 5.0
+
+
+@pytest.mark.parametrize("pitch_deg", [-40.0, -5.0, 0.0, 12.0, 60.0])
+def test_rows_of_a_pitched_camera_lead_ahead_and_up_by_their_elevation(pitch_deg):
+    camera = DepthCamera(pitch_deg=pitch_deg)
+    off_axis = np.arctan(camera.row_slopes)
+    length = 1.0 / np.cos(off_axis)  # of the ray in the middle column, per metre of planar depth
+    elevation = off_axis - math.radians(pitch_deg)
+    np.testing.assert_allclose(camera.row_advances, length * np.cos(elevation), atol=1e-12)
+    np.testing.assert_allclose(camera.row_climbs, length * np.sin(elevation), atol=1e-12)
+    assert camera.floor_reach >= math.hypot(camera.row_advances.max(), camera.column_slopes[0]) - 1e-12
+
+
+def test_a_level_camera_leads_ahead_exactly():
+    camera = DepthCamera()
+    np.testing.assert_array_equal(camera.row_advances, 1.0)
+    np.testing.assert_array_equal(camera.row_climbs, camera.row_slopes)
+
+
+def test_least_floor_depth_of_a_pitched_camera_is_along_its_axis():
+    camera = DepthCamera(pitch_deg=20.0)
+    below = math.atan(0.75 * math.tan(math.radians(30)) * 63 / 64) + math.radians(20.0)
+    ray = 0.297 / math.sin(below)
+    assert camera.least_floor_depth == pytest.approx(ray * math.cos(below - math.radians(20.0)))
+    assert camera.least_floor_depth < DepthCamera().least_floor_depth < DepthCamera(pitch_deg=-10.0).least_floor_depth
+
+
+def test_mounts_are_those_of_the_camera():
+    mounts = DepthCamera(pitch_deg=30.0).mounts(3)
+    np.testing.assert_array_equal(mounts.pitch, [math.radians(30.0)] * 3)
+    np.testing.assert_array_equal(mounts.take(np.array([0, 2])).x, [-0.087, -0.087])

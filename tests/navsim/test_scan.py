@@ -98,3 +98,20 @@ def test_scans_of_many_images_at_once_are_those_of_each():
 
 def test_metres_leaves_floats_alone():
     assert metres(np.float32([1.25]), CAMERA).tolist() == [1.25]
+
+
+@pytest.mark.parametrize("pitch_deg", [-8.0, 10.0, 18.0])
+@pytest.mark.parametrize("depth", ["planar", "range"])
+def test_a_pitched_camera_scans_what_a_level_one_does(pitch_deg, depth):
+    """To within a column, and a count of depth; the floor stays out."""
+    world = room(
+        {"box": {"at": [2.0, 0.5], "size": [0.4, 0.4], "height": 1.0}},
+        {"cylinder": {"at": [1.5, -0.4], "radius": 0.2, "height": 1.0}},
+        {"box": {"at": [3.0, -0.2], "size": [0.3, 0.3], "height": 0.25}},
+    )
+    level, pitched = DepthCamera(depth=depth), DepthCamera(depth=depth, pitch_deg=pitch_deg)
+    expected = obstacle_depth(seen(world, level), level)
+    scan = obstacle_depth(seen(world, pitched), pitched)
+    nearby = np.stack([np.roll(expected, shift) for shift in (-1, 0, 1)])
+    assert np.all((scan > nearby.min(axis=0) - 0.02) & (scan < nearby.max(axis=0) + 0.02))
+    np.testing.assert_array_equal(obstacle_depth(seen(room(), pitched), pitched), 5.0)

@@ -324,6 +324,7 @@ def test_a_world_is_drawn_where_it_says(room, tmp_path, monkeypatch, capsys, opt
     ("arguments", "module", "passed"),
     [
         (["camera", "--peers"], "navsim.bench_camera", {"peers": True}),
+        (["sensor", "--world", "simple_eval"], "navsim.bench_sensor", {"world": "simple_eval"}),
         (["env", "--world", "simple_eval"], "rl.bench_env", {"world": "simple_eval"}),
         (["learner", "--num-threads", "2"], "rl.bench_learner", {"num_threads": 2}),
     ],
@@ -413,6 +414,9 @@ def told(capsys) -> str:
         ("train --world complex_trian --out run", "did you mean 'complex_train'?"),
         ("train --eval-world nowhere --out run", "nowhere: there is no such world file"),
         ("evaluate random", "--world"),
+        ("train --camera.pitch-deg 25 --out run", "tilt it up (pitch_deg)"),
+        ("train --randomization.noise-level 0 2 --out run", "changes nothing without noise"),
+        ("evaluate random --world complex_eval --randomized", "trained without randomization"),
         ("evaluate random --world complex_evl", "did you mean 'complex_eval'?"),
         ("evaluate randm --world complex_eval", 'did you mean "random"?'),
         ("evaluate random --world complex_eval --num-paths 101", "num_paths asks for 101"),

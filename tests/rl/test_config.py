@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from navsim.camera import DepthCamera
+from navsim.randomization import Randomization
+from navsim.sensor import KINECT
 from rl.config import PRESETS, Collection, ConfigError, Experiment, Exploration, Learning, Records, TrainConfig
 
 
@@ -36,7 +39,9 @@ def test_a_preset_bears_its_own_name(name):
             world=("a.yaml", "b.yaml"),
             out=Path("somewhere"),
             max_grad_norm=None,
-            camera=DepthCamera(width=160, height=128, depth="range"),
+            camera=DepthCamera(width=160, height=128, depth="range", pitch_deg=5.0),
+            sensor=replace(KINECT, latency=2),
+            randomization=Randomization(camera_pitch_deg=(-2.0, 2.0), latency=(0, 1), noise_level=(0.5, 1.5)),
         ),
     ],
     ids=["fast", "thesis", "others"],
@@ -75,6 +80,11 @@ def test_every_setting_belongs_to_one_group_of_the_help():
         ({"batch_size": 60, "replay_capacity": 50}, "--batch-size (60) must not exceed --replay-capacity (50)"),
         ({"warmup_steps": 10, "batch_size": 64}, "--warmup-steps (10) must lie between --batch-size (64)"),
         ({"total_steps": 4_000, "warmup_steps": 5_000}, "--total-steps (4000) must exceed --warmup-steps (5000)"),
+        (
+            {"randomization": Randomization(camera_pitch_deg=(0.0, 40.0))},
+            "randomization camera_height (0.0, 0.0) and camera_pitch_deg (0.0, 40.0) go too far: the camera sees",
+        ),
+        ({"randomization": Randomization(noise_level=(0.0, 2.0))}, "changes nothing without noise"),
         ({"max_grad_norm": -1.0}, "--max-grad-norm must be positive or None"),
     ],
 )
@@ -96,6 +106,8 @@ def test_all_problems_are_told_at_once():
         ({"learning_rte": 1.0}, "learning_rte"),
         ({"camera": {"widht": 80}}, "camera"),
         ({"camera": {"width": -1}}, "width"),
+        ({"sensor": {"axial_noise": -1}}, "settings of the sensor cannot be used: sensor axial_noise"),
+        ({"randomization": {"latency": [2, 1]}}, "settings of the randomization cannot be used"),
         ({"gamma": 7}, "--gamma"),
     ],
 )

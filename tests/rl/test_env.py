@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ from torchrl.envs.utils import check_env_specs
 
 from navsim import World, load_world
 from navsim.camera import DepthCamera
+from navsim.randomization import Randomization
+from navsim.sensor import KINECT
 from navsim.simulator import Simulator
 from navsim.task import Task
 from rl.env import NUM_FRAMES, NavEnv
@@ -35,6 +38,23 @@ def test_specs_hold(num_envs):
     assert env.observation_spec["depth"].dtype == torch.uint8
     assert env.action_spec.n == 7
     assert env.action_spec.shape == (num_envs,)
+
+
+def test_a_noisy_randomised_environment_keeps_its_specs_and_resumes():
+    settings = {
+        "camera": CAMERA,
+        "sensor": replace(KINECT, latency=1),
+        "randomization": Randomization(camera_height=(-0.02, 0.05), camera_pitch_deg=(-2.0, 5.0), latency=(0, 2)),
+    }
+    check_env_specs(NavEnv("complex_train", 3, seed=0, **settings), seed=0)
+    original, resumed = (NavEnv("complex_train", 3, seed=seed, **settings) for seed in (1, 2))
+    state = original.rollout(5, break_when_any_done=False)[:, -1]["next"]
+    resumed.reset()
+    resumed.load_state_dict(pickle.loads(pickle.dumps(original.state_dict())))
+    for actions in ([1, 2, 3], [4, 4, 4]):
+        one, other = act(original, state.clone(), actions)["next"], act(resumed, state.clone(), actions)["next"]
+        torch.testing.assert_close(one["depth"], other["depth"], rtol=0, atol=0)
+        state = one
 
 
 def test_the_default_image_is_80_by_64():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +16,8 @@ from torchrl.data import Categorical
 from torchrl.modules import EGreedyModule
 
 from navsim.camera import DepthCamera
+from navsim.randomization import Randomization
+from navsim.sensor import KINECT
 from navsim.simulator import Simulator
 from navsim.task import Path, Task
 from navsim.world import World
@@ -155,6 +158,30 @@ def test_policies_see_the_last_four_images_and_what_begins():
     torch.testing.assert_close(fifth["depth"][:, 0], second["depth"][:, 3])
     assert not torch.equal(second["depth"][:, 3], fifth["depth"][:, 3])
     assert [bool(state["is_init"]) for state in seen[:5]] == [True, False, False, False, False]
+
+
+def test_policies_see_through_the_sensor_of_each_robot_to_the_end():
+    """Noise, latency and what was randomised stay with a robot when others have finished."""
+    settings = {
+        "sensor": replace(KINECT, latency=2),
+        "randomization": Randomization(camera_pitch_deg=(0.0, 5.0), wheel_speed_error=(-0.05, 0.05), latency=(0, 1)),
+    }
+    seen = []
+
+    def look(state):
+        seen.append(state["depth"][-1, -1].numpy().copy())
+        return ahead(state)
+
+    first, last = drive(look, num_paths=2, **settings).paths
+    assert first.steps < last.steps
+    simulator = Simulator(ROOM, 2, camera=CAMERA, task=TASK, seed=0, **settings)
+    expected = [simulator.reset(paths=[Path(0, goal) for goal in (0, 1)]).depth[1]]
+    while len(expected) < last.steps:
+        moved = simulator.step(np.ones(2, dtype=np.int64))
+        expected.append(moved.depth[1])
+        ended = moved.terminated | moved.truncated
+        simulator.reset(ended, paths=[Path(0, 0)] * 2)
+    np.testing.assert_array_equal(seen, expected)
 
 
 def test_memory_stays_with_its_robot_when_others_have_finished():
