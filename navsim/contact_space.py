@@ -71,15 +71,18 @@ class _Pushed(_Thing):
         self._owed, self._stops = 0.0, False
         velocity, turn = body.velocity, body.angular_velocity
         speed = math.hypot(velocity.x, velocity.y, solid.friction_radius * turn)
-        if speed == 0.0:
-            return
         loss = solid.deceleration * dt
+        if speed == 0.0:
+            # What presses against it from now on has to overcome friction; a blow comes half way through, on average.
+            self._owed = loss if self.in_contact else 0.5 * loss
+            return
         self._stops = loss >= speed
         if self.in_contact:
             # As a force: Chipmunk moves the body first, then applies it, then solves the contacts.
             share = min(loss / speed, 1.0)
             body.force = -share * solid.mass / dt * velocity
             body.torque = -(1.0 if self._stops else share * self._turn_share) * solid.inertia / dt * turn
+            self._owed = max(0.0, loss - speed)
             return
         # Free: the way of a step is that of the mean speed, which is exact for a constant deceleration.
         mean = 0.5 * speed / loss if self._stops else 1.0 - 0.5 * loss / speed
@@ -94,6 +97,8 @@ class _Pushed(_Thing):
         body, solid = self.body, self._solid
         velocity, turn = body.velocity, body.angular_velocity
         speed = math.hypot(velocity.x, velocity.y, solid.friction_radius * turn)
+        if speed == 0.0:
+            return
         if self._owed >= speed or (self._stops and not self.in_contact):
             body.velocity, body.angular_velocity = (0.0, 0.0), 0.0
         else:
@@ -160,7 +165,9 @@ class ContactSpace:
         fine = (len(schedule) - 1) // len(velocities)
         commands = [(x, y) for x, y in velocities.tolist() for _ in range(fine)]
         robot, here = self._robot, position.tolist()
-        robot.body.position = here[0], here[1]
+        # All is where it belongs before it is added: where Chipmunk's tree puts a shape, and so the order in which it
+        # solves contacts, depends on place and velocity.
+        _place(robot.body, (*here, 0.0), (*commands[0], 0.0))
         robot.in_contact = False
         moving: list[tuple[_Thing, list[list[float]]]] = []
         pushed: list[_Pushed] = []
@@ -172,7 +179,9 @@ class ContactSpace:
                 _place(thing.body, poses[slot].tolist(), speeds[slot].tolist())
                 pushed.append(thing)
             else:
-                moving.append((thing, schedule[:, slot].tolist()))
+                way = schedule[:, slot].tolist()
+                _place(thing.body, way[0], _speeds(way[0], way[1], dt / fine))
+                moving.append((thing, way))
         present = [robot, *(self._things[slot] for slot in slots)]
         for thing in present:
             self._space.add(thing.body, *thing.shapes)
@@ -201,8 +210,7 @@ class ContactSpace:
         """One step of Chipmunk, with all that belongs to it."""
         robot = self._robot
         for thing, way in moving:
-            here, there = way[number], way[number + 1]
-            _place(thing.body, here, [(b - a) / dt for a, b in zip(here, there, strict=True)])
+            _place(thing.body, way[number], _speeds(way[number], way[number + 1], dt))
         for thing in pushed:
             thing.slow_down(dt)
         if robot.in_contact:
@@ -344,6 +352,11 @@ def _shape(body: pymunk.Body, vertices: np.ndarray, radius: float, collision_typ
         shape = pymunk.Poly(body, vertices.tolist())
     shape.collision_type = collision_type
     return shape
+
+
+def _speeds(begin: Sequence[float], end: Sequence[float], dt: float) -> list[float]:
+    """m/s, m/s and rad/s that lead from one pose to another in ``dt`` seconds."""
+    return [(b - a) / dt for a, b in zip(begin, end, strict=True)]
 
 
 def _place(body: pymunk.Body, pose: Sequence[float], speeds: Sequence[float]) -> None:

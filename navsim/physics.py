@@ -390,10 +390,10 @@ class _Space:
         Returns:
             ``(K, 2)`` positions afterwards, metres, and ``(K,)`` bool: whether each touched something.
         """
-        for robot, (x, y) in zip(robots, positions.tolist(), strict=True):
-            robot.body.position = x, y
-            self._space.add(robot.body, robot.shape)
         schedules = [[(x, y) for x, y in schedule] for schedule in velocities.tolist()]
+        for robot, (x, y), schedule in zip(robots, positions.tolist(), schedules, strict=True):
+            robot.body.position, robot.body.velocity = (x, y), schedule[0]
+            self._space.add(robot.body, robot.shape)
         touched = np.zeros(len(robots), dtype=bool)
         self._in_contact.clear()
         for substep in range(velocities.shape[1]):
