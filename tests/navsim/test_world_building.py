@@ -74,9 +74,8 @@ def test_a_mistake_is_told_in_the_words_of_files(make, settings, problems):
 def test_changes_return_other_worlds_and_leave_this_one_alone():
     world = World(size=(7, 7), obstacles=[desk()], starts=[(-3, 0)], goals=[(3, 3)])
     before = world.to_yaml()
-    assert [one.name for one in world.add(desk(name="", at=(-1, 2)), Cylinder(at=(0, 2), radius=0.1, height=1)).obstacles] == [
-        "desk", "box 2", "cylinder 3",
-    ]  # fmt: skip
+    larger = world.add(desk(name="", at=(-1, 2)), Cylinder(at=(0, 2), radius=0.1, height=1))
+    assert [one.name for one in larger.obstacles] == ["desk", "box 2", "cylinder 3"]
     assert world.without("desk").obstacles == ()
     assert world.change("desk", at=(2, 0), name="table").obstacles == (desk(at=(2, 0), name="table"),)
     assert world.replace(size=(9, 8), walls=None, starts="random").size == (9.0, 8.0)
