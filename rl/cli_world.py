@@ -152,18 +152,15 @@ def generate(
     files. To train in such rooms no files are needed: navsim train --world generate:clutter,density=0.11,count=200
 
     Args:
-        kind: What the rooms are like. clutter: furniture, cartons, cans and posts, a third of them lower than the
-            camera or raised off the floor. blocks: large boxes. corridors: a maze of walls and doors. office: rooms
-            with desks, chairs and cupboards. warehouse: rows of shelving, pallets. forest: trunks, logs and bushes.
+        kind: Furniture and small things, a third of them low or raised; large boxes; a maze; or what the name says.
         size: Of a room, metres.
-        density: Share of the floor that is covered, seen from above; that of complex_eval is 0.11. Without it, clutter
-            has 24 obstacles in 7 by 7 m.
+        density: Share of the floor that is covered; 0.11 as in complex_eval. Clutter has 24 obstacles in 7x7 m without.
         seed: Of all the rooms.
         count: Rooms to make.
         first: Number of the first room. Room 17 is the same whether it is made alone or among others.
         out: Directory to write them to, as KIND-0001.yaml and so on.
         overview: Draw the first rooms on one sheet, overview.png.
-        solve: Have the planning oracle drive every path, and say where it finds no way (seconds for each room).
+        solve: Have the planning oracle drive every path, and say where it finds no way; slow.
     """
     from navsim.generate import RoomSettings
     from navsim.worldsource import parse_size

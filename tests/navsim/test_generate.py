@@ -65,13 +65,17 @@ def footprint(obstacle) -> shapely.Geometry:
 
 
 def joined_by_passages(world: World, width: float) -> bool:
-    """Whether a disc of that width gets from every start to every goal past all that is hit or seen too near."""
+    """Whether a disc of that width gets from every start to every goal past all that is hit or seen too near.
+
+    Most places where it fits must belong to the same part of the floor: little is walled up.
+    """
     half = world.half_size - width / 2
     blocked = [footprint(o).buffer(width / 2, quad_segs=64) for o in world.obstacles if o.base < SEEN_UP_TO]
     parts = shapely.get_parts(shapely.box(*-half, *half).difference(shapely.union_all(blocked)))
     places = [shapely.Point(place.at) for place in (*world.starts, *world.goals)]
     around = [{i for i, part in enumerate(parts) if part.distance(point) < 1e-6} for point in places]
-    return len(set.intersection(*around)) == 1
+    shared = set.intersection(*around)
+    return len(shared) == 1 and parts[min(shared)].area > 0.75 * sum(part.area for part in parts)
 
 
 def is_low(obstacle) -> bool:
