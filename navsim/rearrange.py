@@ -21,6 +21,7 @@ from navsim.world import World
 TOGETHER = 0.06
 """Obstacles that are nearer to each other than this, metres, are one piece of furniture."""
 _TRIES = 150  # places tried for a piece before it is left out: the room is full
+_SWEEP_MARGIN = 1e-3  # metres to the walls for what moves or can be pushed: more than points miss of what is swept
 _SPACING = 0.05  # of the points that stand for a piece's outline, metres; errors of gaps are a hundredth of it
 
 
@@ -46,7 +47,7 @@ def _arranged(world: World, pieces: list[_Piece], generator: np.random.Generator
     outlines = np.zeros((0, 2))
     for piece in pieces:
         for _ in range(_TRIES):
-            turn, offset = piece.place(generator, world.half_size, gap)
+            turn, offset = piece.place(generator, world.half_size - piece.margin, gap)
             outline = piece.outline @ turn.T + offset
             if (np.abs(outline) > world.half_size).any():
                 continue
@@ -64,6 +65,7 @@ class _Piece:
     def __init__(self, prisms: list[Prism], dynamic: set[int]) -> None:
         self.members = sorted({prism.obstacle for prism in prisms})
         outline = np.concatenate([_outline(prism, outside=prism.obstacle in dynamic) for prism in prisms])
+        self.margin = _SWEEP_MARGIN if dynamic.intersection(self.members) else 0.0
         self.centre = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
         self.outline = outline - self.centre
         self.extent = float(np.linalg.norm(self.outline, axis=1).max())
