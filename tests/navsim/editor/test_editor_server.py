@@ -391,7 +391,10 @@ def test_the_command_serves_the_page_until_it_is_interrupted(room):
         with urllib.request.urlopen(address, timeout=20) as page:
             assert b"navsim world editor" in page.read()
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=20)
+        try:
+            out, err = process.communicate(timeout=60)
+        finally:
+            process.kill()
     assert (process.returncode, out.strip(), err) == (0, "", "")
     assert lines[0] == f"editing {room} at\n"
     assert room.read_text() == ROOM
