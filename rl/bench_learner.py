@@ -37,7 +37,7 @@ FORMATS: tuple[NumberFormat, ...] = ("float32", "bfloat16")
 _ROUNDS = 7
 _SECONDS_A_ROUND = 0.4
 _MATRIX = 1024
-_STABLE_BASELINES = "Stable-Baselines3 (ratio)"
+_STABLE_BASELINES = "SB3 (ratio)"
 
 
 class Measurement(NamedTuple):
@@ -86,27 +86,23 @@ def run(
     torch.set_num_threads(num_threads)
     camera = DepthCamera(width=width, height=height)
     settings = [(size, number_format) for size in BATCH_SIZES for number_format in FORMATS]
-    peaks: dict[NumberFormat, float] = {
-        number_format: _matmul_rate(number_format, seconds) for number_format in FORMATS
-    }
     measured = []
     for size, number_format in track(
         settings, "learning", console=console, transient=True, disable=not console.is_terminal
     ):
-        measured.append(_compare(size, number_format, peaks[number_format], seconds, camera, peers=peers))
+        measured.append(_compare(size, number_format, seconds, camera, peers=peers))
     threads = "one thread" if num_threads == 1 else f"{num_threads} threads"
-    rates = ", ".join(f"{rate / 1e9:,.0f} GFLOP/s in {number_format}" for number_format, rate in peaks.items())
     console.print(f"[bold]updates a second[/bold] of model I, {width}x{height}, {threads}, {processor()}")
     console.print(_table(measured))
     console.print(
-        "roofline: share of the speed that the operations of DQNLoss's update would have at that of "
-        f"{_MATRIX}x{_MATRIX} matrix products here, {rates}"
+        "roofline: share of the speed that the operations of DQNLoss's update would have at that of products of "
+        f"{_MATRIX}x{_MATRIX} matrices, measured in turn with them"
     )
     return measured
 
 
 def _compare(
-    batch_size: int, number_format: NumberFormat, peak: float, seconds: float, camera: DepthCamera, *, peers: bool
+    batch_size: int, number_format: NumberFormat, seconds: float, camera: DepthCamera, *, peers: bool
 ) -> Measurement:
     config = dataclasses.replace(CONFIG, autocast=number_format, camera=camera)
     sample = random_sample(batch_size, config.camera)
@@ -114,6 +110,7 @@ def _compare(
     contestants: list[Callable[[], object]] = [
         lambda: learner.update(sample.copy()),
         lambda: peer.update(sample.copy()),
+        _product(number_format),
     ]
     names = []
     if peers and number_format == "float32":
@@ -122,8 +119,8 @@ def _compare(
     for update in contestants:
         _rate(update, seconds)
     rates = [[_rate(update, seconds) for update in contestants] for _ in range(_ROUNDS)]
-    ours, theirs, *others = (statistics.median(column) for column in zip(*rates, strict=True))
-    bound = peak / peer.operations(sample)
+    ours, theirs, products, *others = (statistics.median(column) for column in zip(*rates, strict=True))
+    bound = products * 2.0 * _MATRIX**3 / peer.operations(sample)
     return Measurement(batch_size, number_format, ours, theirs, bound, dict(zip(names, others, strict=True)))
 
 
@@ -307,18 +304,19 @@ def stable_baselines_update(sample: TensorDict, config: TrainConfig) -> Callable
 
 
 def _rate(function: Callable[[], object], seconds: float) -> float:
-    """Calls a second."""
-    calls, begin = 0, time.perf_counter()
-    while (passed := time.perf_counter() - begin) < seconds or not calls:
+    """Calls a second: of processor time with one thread, which other programs disturb less, else by the clock."""
+    clock = time.process_time if torch.get_num_threads() == 1 else time.perf_counter
+    calls, begin = 0, clock()
+    while (passed := clock() - begin) < seconds or not calls:
         function()
         calls += 1
-    return calls / passed
+    return calls / max(passed, 1e-9)
 
 
-def _matmul_rate(number_format: NumberFormat, seconds: float) -> float:
-    """Floating point operations a second in products of large square matrices."""
-    a, b = torch.randn(2, _MATRIX, _MATRIX, dtype=getattr(torch, number_format)).unbind()
-    return 2.0 * _MATRIX**3 * max(_rate(lambda: a @ b, seconds / 2) for _ in range(4))
+def _product(number_format: NumberFormat) -> Callable[[], object]:
+    """A product of large square matrices."""
+    a, b = torch.randn(2, _MATRIX, _MATRIX).to(getattr(torch, number_format)).unbind()
+    return lambda: a @ b
 
 
 def _table(measured: list[Measurement]) -> Table:
@@ -331,7 +329,7 @@ def _table(measured: list[Measurement]) -> Table:
             str(row.batch_size),
             row.number_format,
             f"{row.ours:,.1f}",
-            f"{row.roofline_share:.0%}",
+            f"{row.roofline_share:.0%}" if row.number_format == "float32" else "",
             f"{row.peer:,.1f}",
             f"{row.ours / row.peer:.2f}",
             *(
