@@ -21,6 +21,7 @@ from navsim.sensor import KINECT
 from navsim.simulator import Simulator
 from navsim.task import Path, Task
 from navsim.world import World
+from navsim.worldfile import load_world
 from rl.evaluation import Evaluation, PathResult, comparison_table, evaluate, wilson_interval
 
 CAMERA = DepthCamera(width=20, height=16)
@@ -107,6 +108,33 @@ def test_every_path_is_driven_once_in_the_order_of_the_world():
     assert [path.goal for path in evaluation.paths] == [ROOM.goals[goal].at for _, goal in ROOM.paths]
     assert [path.outcome for path in evaluation.paths] == ["success", *["collision"] * 5]
     assert evaluation.world == "room"
+
+
+@pytest.mark.parametrize(("collision_depth", "bumper"), [(0.4, False), (0.0, True)])
+def test_collisions_by_the_bumper_and_by_the_depth_rule_are_reported_apart(collision_depth, bumper):
+    evaluation = evaluate(ahead, ROOM, camera=CAMERA, task=Task(collision_depth=collision_depth))
+    collided = [path for path in evaluation.paths if path.outcome == "collision"]
+    assert collided
+    assert all((path.bumper, path.too_near) == (bumper, not bumper) for path in collided)
+    share = len(collided) / len(evaluation.paths)
+    summary = evaluation.to_dict()["summary"]
+    assert (summary["bumper_rate"], summary["too_near_rate"]) == ((share, 0.0) if bumper else (0.0, share))
+    again = Evaluation.from_json(evaluation.to_json())
+    assert [(path.bumper, path.too_near, path.phases) for path in again.paths] == [
+        (path.bumper, path.too_near, path.phases) for path in evaluation.paths
+    ]
+
+
+def test_obstacles_of_an_evaluated_path_are_where_they_were():
+    world = load_world("crowded")
+    evaluation = evaluate(ahead, world, camera=CAMERA, task=TASK, num_paths=2)
+    simulator = Simulator(world, 2, camera=CAMERA, task=TASK, seed=0)
+    simulator.reset(paths=[Path(0, 0), Path(0, 1)])
+    for robot, path in enumerate(evaluation.paths):
+        np.testing.assert_array_equal(path.phases, simulator.phases[robot])
+        poses = path.obstacle_poses(world, TASK)
+        assert len(poses) == path.steps + 1
+        np.testing.assert_array_equal(poses[0], simulator.obstacle_poses[robot])
 
 
 @pytest.mark.parametrize("policy", [ahead, circling])
