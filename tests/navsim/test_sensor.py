@@ -153,19 +153,21 @@ def test_how_far_silhouettes_are_displaced_is_normal_in_the_kinects_own_pixels()
     np.testing.assert_allclose(shares[314:326], expected, atol=4.0 * math.sqrt(0.25 / (16 * 64)))
 
 
-def test_lateral_noise_follows_planes():
+@pytest.mark.parametrize("direction", ["to the left", "upwards"])
+def test_lateral_noise_follows_planes(direction):
     """Displacing what is seen of a wall that is turned away adds the depth of the displacement, no more."""
-    camera = DepthCamera(width=80, height=64)
-    slope = 0.8  # metres of depth per metre to the left
-    inverse = (1.0 - slope * camera.column_slopes) / 2.0
-    ideal = np.broadcast_to(1.0 / inverse, (30, 64, 80)).astype(np.float32)
-    read = expose(SensorModel(lateral_noise=1.0), ideal, camera)
-    displaced = (1.0 / read[..., 5:-5] - inverse[5:-5]) / (slope / camera.fx / 2.0)  # columns
-    angle = math.acos(1.0 / math.hypot(1.0, slope))
+    camera, slope = DepthCamera(), 0.8  # metres of depth per metre to the left, or upwards
+    if direction == "to the left":
+        slopes, focal_length, pixel = np.broadcast_to(camera.column_slopes, (64, 80)), camera.fx, 80 / 640
+    else:
+        slopes, focal_length, pixel = np.repeat(camera.row_slopes[:, None], 80, axis=1), camera.fy, 64 / 480
+    inverse = (1.0 - slope * slopes) / 2.0
+    read = expose(SensorModel(lateral_noise=1.0), np.repeat(1.0 / inverse[None], 30, axis=0), camera)
+    displaced = ((1.0 / read - inverse) / (slope / focal_length / 2.0))[:, 5:-5, 5:-5]  # pixels
+    angle = np.arccos(inverse * 2.0 / math.hypot(1.0, slope) / camera.ray_lengths)[5:-5, 5:-5]
+    sigma = pixel * (0.8 + 0.035 * angle / (math.pi / 2 - angle))
     assert displaced.mean(dtype=np.float64) == pytest.approx(0.0, abs=0.002)
-    assert displaced.std(dtype=np.float64) == pytest.approx(
-        0.1 * (1.0 + 0.035 / 0.8 * angle / (1.57 - angle)), rel=0.02
-    )
+    assert (displaced / sigma).std(dtype=np.float64) == pytest.approx(1.0, rel=0.01)
 
 
 def test_lateral_sigma_grows_with_the_angle_up_to_80_degrees():
