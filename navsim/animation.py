@@ -9,6 +9,7 @@ from pathlib import Path
 
 import imageio.v3 as imageio
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -30,7 +31,9 @@ from navsim.draw import (
     draw_goal,
     draw_scale,
     draw_world,
+    dynamic_patches,
     masked_depth,
+    move_dynamic_patches,
 )
 from navsim.raycast import render_depth
 from navsim.robot import TURTLEBOT2, Robot
@@ -52,6 +55,7 @@ class _Episode:
     goal: np.ndarray
     actions: Sequence[int] | np.ndarray
     outcome: str | None
+    obstacle_poses: np.ndarray | None
     camera: DepthCamera
     task: Task
     robot: Robot
@@ -65,6 +69,7 @@ def animate_episode(
     *,
     actions: Sequence[int] | np.ndarray = (),
     outcome: str | None = None,
+    obstacle_poses: np.ndarray | None = None,
     camera: DepthCamera | None = None,
     task: Task | None = None,
     robot: Robot = TURTLEBOT2,
@@ -79,6 +84,8 @@ def animate_episode(
         goal: x, y, metres.
         actions: what was done at each pose, in words beside the picture; may be shorter than ``poses``.
         outcome: ``"success"``, ``"collision"`` or ``"timeout"``, shown on the last frame, which stays for a second.
+        obstacle_poses: ``(K, D, 3)`` where what moves or can be pushed is at each time, as
+            ``Simulator.obstacle_poses`` tells; by default where the world file puts it.
         camera: what the robot sees with.
         task: its goal radius and control period are shown.
         robot: drawn to scale.
@@ -88,7 +95,7 @@ def animate_episode(
         The path.
 
     Raises:
-        ValueError: for a suffix that is neither of the two, or poses of another shape.
+        ValueError: for a suffix that is neither of the two, or poses of another shape, or of another number of times.
     """
     path = Path(path)
     if path.suffix.lower() not in ANIMATION_SUFFIXES:
@@ -96,12 +103,15 @@ def animate_episode(
     poses = np.asarray(poses, dtype=np.float64)
     if poses.ndim != 2 or poses.shape[1] != 3 or len(poses) == 0:
         raise ValueError(f"poses of shape {poses.shape} make no episode: give (K, 3), x, y and yaw at each time")
+    if obstacle_poses is not None and len(obstacle_poses) != len(poses):
+        raise ValueError(f"there are obstacle_poses for {len(obstacle_poses)} times, but poses for {len(poses)}")
     episode = _Episode(
         world,
         poses,
         np.asarray(goal, dtype=np.float64),
         actions,
         outcome,
+        obstacle_poses,
         camera or DepthCamera(),
         task or Task(),
         robot,
@@ -139,14 +149,17 @@ class _Stage:
     def __init__(self, episode: _Episode) -> None:
         self._episode = episode
         camera, poses = episode.camera, episode.poses
-        self._depths = camera.to_uint8(camera.from_planar(render_depth(episode.world, poses, camera)))
+        self._depths = camera.to_uint8(
+            camera.from_planar(render_depth(episode.world, poses, camera, episode.obstacle_poses))
+        )
         self._headings = heading(poses, episode.goal)
         self._distances = goal_distance(poses, episode.goal)
         self._views = _view_outlines(self._depths, poses, camera)
         self.figure = Figure(figsize=_SIZE, dpi=_DPI, facecolor="white")
         self.canvas = FigureCanvasAgg(self.figure)
         self._lay_out()
-        self.moving = (
+        self.moving: tuple[Artist, ...] = (
+            *self._obstacles,
             self._view,
             self._goal,
             self._halo,
@@ -171,10 +184,16 @@ class _Stage:
             goals=False,
             colour_bar=False,
             legend=False,
+            dynamic=episode.obstacle_poses is None,
             camera=episode.camera,
             robot=robot,
         )
         plan.axis("off")
+        self._obstacles = (
+            [] if episode.obstacle_poses is None else dynamic_patches(episode.world, episode.camera, robot)
+        )
+        for patch in self._obstacles:
+            plan.add_patch(patch)
         goal = (float(episode.goal[0]), float(episode.goal[1]))
         plan.add_patch(Circle(goal, episode.task.goal_radius, fc=GOAL, ec=GOAL, alpha=0.25, zorder=1.5))
         self._goal = draw_goal(plan, goal)
@@ -203,6 +222,8 @@ class _Stage:
         """Moves every artist to where it is at one of the poses."""
         episode = self._episode
         x, y, yaw = episode.poses[index]
+        if episode.obstacle_poses is not None:
+            move_dynamic_patches(self._obstacles, episode.world, episode.obstacle_poses[index])
         self._view.set_xy(self._views[index])
         for line in (self._halo, self._trail):
             line.set_data(*episode.poses[: index + 1, :2].T)

@@ -17,6 +17,7 @@ b'PNG'
 from __future__ import annotations
 
 import io
+import itertools
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -37,9 +38,10 @@ from matplotlib.patches import Circle, FancyArrowPatch, Patch, Rectangle
 from matplotlib.patches import Polygon as PolygonPatch
 
 from navsim.camera import DepthCamera
+from navsim.dynamics import dynamic_obstacles, placed
 from navsim.robot import TURTLEBOT2, Robot
 from navsim.scan import metres
-from navsim.world import Box, Cylinder, Obstacle, Polygon, Start, World
+from navsim.world import Box, Cylinder, Obstacle, Polygon, Start, Swing, World
 
 OUTCOME_COLOURS = {"success": "#0072B2", "collision": "#D55E00", "timeout": "#A0397B"}
 """Blue, vermilion and (darkened) purple after Okabe and Ito, which colour-blind readers tell apart."""
@@ -54,6 +56,8 @@ GOAL = "#007d5a"
 START = INK
 ROBOT = "#F0E442"
 VIEW = "#56B4E9"
+MOTION = "#6a3d9a"
+PUSHABLE = "#0b7285"
 HEIGHT_COLOURS = LinearSegmentedColormap.from_list("heights", ["#e6dfd1", "#b3a793", "#7b7162", "#454039"])
 DEPTH_COLOURS = "viridis_r"
 NO_RETURN = "#d9dce0"
@@ -99,6 +103,7 @@ def draw_world(
     goals: bool = True,
     colour_bar: bool = True,
     legend: bool = True,
+    dynamic: bool = True,
     camera: DepthCamera | None = None,
     robot: Robot = TURTLEBOT2,
 ) -> None:
@@ -106,7 +111,8 @@ def draw_world(
 
     What a planar laser at the camera's height would miss is hatched: obstacles lower than the camera with slanted
     lines, those that the robot passes under with dots and a broken outline, those off the floor that it does not pass
-    under with crossed lines.
+    under with crossed lines. What moves is outlined in violet, with its way and, where that leads there and back, its
+    outline at the other end; what can be pushed is outlined in dark cyan.
 
     Args:
         axes: where to draw; its limits, aspect and ticks are set.
@@ -116,6 +122,7 @@ def draw_world(
         goals: mark the goals, numbered as in the file.
         colour_bar: add the scale of heights beside the axes.
         legend: explain the marks under the axes.
+        dynamic: draw what moves or can be pushed, where the file puts it.
         camera: obstacles whose tops are under ``camera.mount_z`` are low.
         robot: obstacles whose bases are at ``robot.height`` or above are clear of it.
     """
@@ -131,12 +138,14 @@ def draw_world(
         )
     axes.add_patch(Rectangle((-half_x, -half_y), 2 * half_x, 2 * half_y, fc=FLOOR, ec="none"))
 
-    heights = Normalize(0.0, max([1.0, *(obstacle.top for obstacle in world.obstacles)]))
     kinds = [_kind(obstacle, camera, robot) for obstacle in world.obstacles]
     for index in sorted(range(len(world.obstacles)), key=lambda index: world.obstacles[index].top):
         obstacle = world.obstacles[index]
-        colour = HEIGHT_COLOURS(heights(obstacle.top))
-        axes.add_patch(_obstacle_patch(obstacle, colour, kinds[index]))
+        if not dynamic and (obstacle.motion is not None or obstacle.pushable is not None):
+            continue
+        axes.add_patch(obstacle_patch(obstacle, _heights(world), kinds[index]))
+        if obstacle.motion is not None:
+            _draw_motion(axes, obstacle)
         if names:
             x, y = _middle(obstacle)
             text = axes.text(x, y, obstacle.name, fontsize=6.5, ha="center", va="center", color=INK, zorder=6)
@@ -157,7 +166,7 @@ def draw_world(
     for spine in axes.spines.values():
         spine.set_visible(False)
     if colour_bar and world.obstacles:
-        draw_scale(axes, ScalarMappable(heights, HEIGHT_COLOURS), "top of the obstacle, m")
+        draw_scale(axes, ScalarMappable(_heights(world), HEIGHT_COLOURS), "top of the obstacle, m")
     if legend:
         handles = _world_legend(world, kinds, starts=starts, goals=goals, camera=camera, robot=robot)
         if handles:
@@ -192,15 +201,86 @@ def _kind(obstacle: Obstacle, camera: DepthCamera, robot: Robot) -> str:
     return "overhanging" if obstacle.base > 0.0 else "plain"
 
 
-def _obstacle_patch(obstacle: Obstacle, colour: Any, kind: str) -> Patch:
+def _heights(world: World) -> Normalize:
+    return Normalize(0.0, max([1.0, *(obstacle.top for obstacle in world.obstacles)]))
+
+
+def dynamic_patches(world: World, camera: DepthCamera, robot: Robot = TURTLEBOT2) -> list[Patch]:
+    """Patches of the world's ``navsim.dynamics.dynamic_obstacles``, in their order, where the file puts them."""
+    obstacles = [world.obstacles[one.index] for one in dynamic_obstacles(world)]
+    return [obstacle_patch(obstacle, _heights(world), _kind(obstacle, camera, robot)) for obstacle in obstacles]
+
+
+def move_dynamic_patches(patches: Sequence[Patch], world: World, poses: np.ndarray) -> None:
+    """Moves what :func:`dynamic_patches` made to poses ``(D, 3)``, as ``Simulator.obstacle_poses`` tells them."""
+    for patch, one, pose in zip(patches, dynamic_obstacles(world), poses, strict=False):
+        obstacle = world.obstacles[one.index]
+        if isinstance(patch, Circle) and isinstance(obstacle, Cylinder):
+            patch.center = tuple(placed(np.array([obstacle.at]) - one.reference, pose)[0])
+        elif isinstance(patch, PolygonPatch) and not isinstance(obstacle, Cylinder):
+            patch.set_xy(placed(_corners(obstacle) - one.reference, pose))
+
+
+def _draw_motion(axes: Axes, obstacle: Obstacle) -> None:
+    """Draw the way of a moving obstacle, with arrows in the middle of its lines, and the far end of what goes back."""
+    motion = obstacle.motion
+    assert motion is not None
+    knots = motion.knots()
+    if isinstance(motion, Swing):
+        far = _outline(obstacle)
+        middle = far.mean(axis=0) if len(far) > 1 else far[0]
+        arm = float(np.hypot(*(far - motion.hinge).T).max())
+        bearing = math.atan2(middle[1] - motion.hinge[1], middle[0] - motion.hinge[0])
+        angles = bearing + np.linspace(knots[0, 2], knots[1, 2], 60)
+        line = motion.hinge + arm * np.column_stack([np.cos(angles), np.sin(angles)])
+        axes.plot(*motion.hinge, marker="o", ms=3, color=MOTION, zorder=5.2)
+    else:
+        line = knots[:, :2]
+    axes.plot(*line.T, color=MOTION, lw=1.1, ls=(0, (4, 2)), zorder=2.95)
+    if isinstance(motion, Swing):
+        _draw_arrow(axes, line[len(line) // 2 - 1], line[len(line) // 2])
+    else:
+        for begin, end in itertools.pairwise(line):
+            _draw_arrow(axes, begin, end)
+    if not motion.is_circuit:
+        ends = knots[[0, -1]] if isinstance(motion, Swing) else knots[[-1]]
+        for pose in ends:
+            ghost = placed(_outline(obstacle) - knots[0, :2], pose)
+            radius = obstacle.radius if isinstance(obstacle, Cylinder) else 0.0
+            patch = Circle(tuple(ghost[0]), radius) if radius else PolygonPatch(ghost, closed=True)
+            patch.set(fill=False, edgecolor=MOTION, linewidth=0.8, linestyle=(0, (2, 2)), zorder=2.95)
+            axes.add_patch(patch)
+
+
+def _outline(obstacle: Obstacle) -> np.ndarray:
+    """Corners (V, 2), metres; the centre of a cylinder."""
+    return np.array([obstacle.at]) if isinstance(obstacle, Cylinder) else _corners(obstacle)
+
+
+def _draw_arrow(axes: Axes, begin: np.ndarray, end: np.ndarray) -> None:
+    middle = 0.5 * (begin + end)
+    tip = middle + 0.01 * (end - begin) / np.linalg.norm(end - begin)
+    axes.annotate(
+        "",
+        tip,
+        xytext=middle,
+        arrowprops={"arrowstyle": "-|>", "color": MOTION, "shrinkA": 0, "shrinkB": 0},
+        zorder=5.2,
+    )
+
+
+def obstacle_patch(obstacle: Obstacle, heights: Normalize, kind: str) -> Patch:
+    """An obstacle as it is drawn on a plan view, coloured by the height of its top."""
     style: dict[str, Any] = {
-        "facecolor": colour,
+        "facecolor": HEIGHT_COLOURS(heights(obstacle.top)),
         "edgecolor": INK,
         "linewidth": 0.7,
         "hatch": _HATCHES.get(kind),
         "hatch_linewidth": 0.5,
         "zorder": 2.0 + min(obstacle.top, 90.0) / 100.0,
     }
+    if obstacle.motion is not None or obstacle.pushable is not None:
+        style |= {"edgecolor": PUSHABLE if obstacle.motion is None else MOTION, "linewidth": 1.8}
     if kind == "clear":
         style |= {"linestyle": (0, (3, 1.5)), "alpha": 0.75}
     if isinstance(obstacle, Cylinder):
@@ -258,6 +338,10 @@ def _world_legend(
             handles.append(
                 Patch(fc=middle, ec=INK, lw=0.7, ls=line, hatch=_HATCHES[kind], hatch_linewidth=0.5, label=label)
             )
+    if any(obstacle.motion is not None for obstacle in world.obstacles):
+        handles.append(Line2D([], [], color=MOTION, lw=1.8, ls=(0, (4, 2)), label="moves, along this way"))
+    if any(obstacle.pushable is not None for obstacle in world.obstacles):
+        handles.append(Patch(fc=middle, ec=PUSHABLE, lw=1.8, label="can be pushed"))
     if starts and not world.random_starts:
         handles.append(Line2D([], [], ls="none", marker="o", ms=8, mfc="white", mec=START, label="start"))
     if goals and not world.random_goals:

@@ -9,26 +9,35 @@ The search is a weighted A* (Pohl 1970) over continuous poses, of which each cel
 examined (hybrid A*, Dolgov et al. 2010). The geodesic distance to the goal guides it, and the turn that lies before the
 robot. Nodes are checked when their turn comes, many at a time, so that the rules are checked on whole arrays.
 
+Where something moves, time belongs to the state: a node knows the step it is reached in, and so where everything is
+then, and the lattice has a cell for each second. What can be pushed counts as standing where the file puts it; if
+something that moves displaces it, or if the task allows pushing, plans that would need to reckon with that are not
+found, or found wanting in the simulator.
+
 A plan is driven in the simulator before it is handed out.
 """
 
 from __future__ import annotations
 
 import heapq
+import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from navsim.camera import DepthCamera
+from navsim.dynamics import Dynamics, MovingPrisms, dynamic_obstacles
 from navsim.footprints import Footprints
+from navsim.motion_rules import sweeps
 from navsim.planner import DistanceField, shortest_path
 from navsim.raycast import Scene, cast, nearest_depth
 from navsim.robot import ACTIONS, INITIAL_COMMAND, NUM_ACTIONS, TURTLEBOT2, Robot, apply_actions, wrap_angle
 from navsim.simulator import Simulator
 from navsim.task import Task, goal_distance
-from navsim.world import World
+from navsim.world import Cylinder, Obstacle, Polygon, World
 
 
 @dataclass(frozen=True)
@@ -56,6 +65,8 @@ _EFFORTS = (
 )
 """One after the other until there is a plan: with ease, then tighter, then all that the rules allow."""
 
+_CELL_LASTS = 1.0  # seconds, where something moves
+_SHUT_STEP = 0.1  # metres between the places of a door's edge that stand for the floor that it sweeps
 _BATCH = 64  # nodes that are examined at a time
 _METRES_A_SECOND = 0.1  # what a second costs beside the metres driven
 _GUIDE_RESOLUTION = 0.05  # metres between neighbouring points of the guide's grid
@@ -93,14 +104,18 @@ class Oracle:
         self.robot = robot
         self._simulator = Simulator(world, camera=self.camera, task=self.task, robot=robot)
         self._rules = _Rules(world, self.camera, self.task, robot)
-        self._guides: dict[tuple[float, float, float], _Guide] = {}
+        self._maps = _maps(world)
+        self._guides: dict[tuple[int, float, float, float], _Guide] = {}
 
-    def plan(self, start_pose: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
+    def plan(
+        self, start_pose: np.ndarray, goal: np.ndarray, phases: np.ndarray | Sequence[float] = ()
+    ) -> np.ndarray | None:
         """Actions that lead from a start, at rest with the initial command, to a goal; among the shortest there are.
 
         Args:
             start_pose: ``(3,)`` x, y (metres) and yaw (radians).
             goal: ``(2,)`` metres.
+            phases: ``(D,)`` where in their periods the moving obstacles are at the start; 0 by default.
 
         Returns:
             ``(K,)`` int64, actions with which an episode of the simulator ends in success in its K-th step; None where
@@ -119,26 +134,31 @@ class Oracle:
             is None
         ):
             return None
-        for effort in _EFFORTS:
-            actions = _search(pose, target, effort, self._rules, self._guide(target, effort))
-            if actions is not None and self._succeeds(pose, target, actions):
+        row = np.zeros(self._rules.dynamics.most)
+        row[: len(phases)] = phases
+        for effort, world in itertools.product(_EFFORTS, self._maps):
+            actions = _search(pose, target, row, effort, self._rules, self._guide(world, target, effort))
+            if actions is not None and self._succeeds(pose, target, row, actions):
                 return actions
         return None
 
-    def _guide(self, goal: np.ndarray, effort: _Effort) -> _Guide:
-        key = (float(goal[0]), float(goal[1]), effort.guide_margin)
+    def _guide(self, world: World, goal: np.ndarray, effort: _Effort) -> _Guide:
+        key = (id(world), float(goal[0]), float(goal[1]), effort.guide_margin)
         if key not in self._guides:
             if len(self._guides) >= _GUIDES_KEPT:
                 self._guides.clear()
             radius = self.robot.radius + effort.guide_margin
-            self._guides[key] = _Guide(self.world, goal, radius, self.robot.height, self.task.goal_radius)
+            self._guides[key] = _Guide(world, goal, radius, self.robot.height, self.task.goal_radius)
         return self._guides[key]
 
-    def _succeeds(self, pose: np.ndarray, goal: np.ndarray, actions: np.ndarray) -> bool:
+    def _succeeds(self, pose: np.ndarray, goal: np.ndarray, phases: np.ndarray, actions: np.ndarray) -> bool:
         """Whether an episode of the simulator that takes these actions ends with the last one, in success."""
         simulator = self._simulator
         state = simulator.state_dict()
-        state["physics"]["poses"][0], state["physics"]["speeds"][0] = pose, 0.0
+        physics = state["physics"]
+        physics["poses"][0], physics["speeds"][0], physics["phases"][0], physics["clock"][0] = pose, 0.0, phases, 0.0
+        physics["obstacle_poses"] = self._rules.dynamics.poses(physics["world_index"], phases[None], np.zeros(1))
+        physics["obstacle_speeds"][:] = 0.0
         state["commands"][0], state["goals"][0] = INITIAL_COMMAND, goal
         state["steps"][0], state["ended"][0] = 0, False
         simulator.load_state_dict(state)
@@ -157,6 +177,7 @@ def plan(
     camera: DepthCamera | None = None,
     task: Task | None = None,
     robot: Robot = TURTLEBOT2,
+    phases: np.ndarray | Sequence[float] = (),
 ) -> np.ndarray | None:
     """``Oracle.plan`` for a single path.
 
@@ -167,11 +188,34 @@ def plan(
         camera: what the depth rule sees with; the Kinect at 80x64 by default.
         task: the rules.
         robot: who drives.
+        phases: ``(D,)`` where in their periods the moving obstacles are at the start; 0 by default.
 
     Returns:
         ``(K,)`` int64 actions that succeed in the simulator, or None where none were found.
     """
-    return Oracle(world, camera, task, robot).plan(start_pose, goal)
+    return Oracle(world, camera, task, robot).plan(start_pose, goal, phases)
+
+
+def _maps(world: World) -> list[World]:
+    """What guides a search: the world without what moves; and, where a door swings, with all its floor shut too.
+
+    A search that is guided through a door waits in front of it for all that its budget allows; one that is guided
+    around it finds the other way, if there is one.
+    """
+    swings = [one for one in dynamic_obstacles(world) if one.moves and (one.knots[:, 2] != 0.0).any()]
+    if not swings:
+        return [world]
+    shut: list[Obstacle] = [obstacle for obstacle in world.obstacles if obstacle.motion is None]
+    for one in swings:
+        height = one.top - one.base
+        for sweep in sweeps(one, swing_step=_SHUT_STEP):
+            if sweep.radius > 0.0:
+                (x, y), *_ = sweep.vertices.tolist()
+                shut.append(Cylinder(at=(x, y), radius=sweep.radius, base=one.base, height=height))
+            else:
+                corners = tuple((x, y) for x, y in sweep.vertices.tolist())
+                shut.append(Polygon(points=corners, base=one.base, height=height))
+    return [world, world.model_copy(update={"obstacles": tuple(shut)})]
 
 
 class _Rules:
@@ -180,10 +224,12 @@ class _Rules:
     def __init__(self, world: World, camera: DepthCamera, task: Task, robot: Robot) -> None:
         self.task, self.robot = task, robot
         self._camera = camera
-        self._scene = Scene([world])
-        self._all = Footprints.of(world.prisms)
-        self._in_the_way = Footprints.of([prism for prism in world.prisms if prism.overlaps_heights(0.0, robot.height)])
+        self.dynamics = Dynamics([world])
+        self._scene = Scene([world.standing_prisms])
+        self._all = Footprints.of(world.standing_prisms)
+        self._in_the_way = Footprints.of([p for p in world.standing_prisms if p.overlaps_heights(0.0, robot.height)])
         self._substeps = max(1, math.ceil(task.control_period / task.substep - 1e-9))
+        self._moving = np.flatnonzero(self.dynamics.moves[0])
 
     def drive(self, poses: np.ndarray, speeds: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """One control period on a free floor.
@@ -213,8 +259,43 @@ class _Rules:
         track[..., 2] = wrap_angle(headings)
         return track, ramp[:, -1]
 
-    def touches(self, track: np.ndarray, margin: float) -> np.ndarray:
-        """``(N,)`` bool: something comes nearer than ``margin`` to the base at the end of a substep of (N, S, 3)."""
+    @property
+    def anything_moves(self) -> bool:
+        """Whether it matters when the robot is somewhere."""
+        return len(self._moving) > 0
+
+    def touches(self, track: np.ndarray, steps: np.ndarray, phases: np.ndarray, margin: float) -> np.ndarray:
+        """``(N,)`` bool: something comes nearer than ``margin`` to the base at the end of a substep of (N, S, 3).
+
+        ``steps`` ``(N,)`` are the control periods that have passed at the end of each track.
+        """
+        touching = self._touches_standing(track, margin)
+        if self.anything_moves:
+            free = np.flatnonzero(~touching)
+            touching[free] = self._touches_moving(track[free], steps[free], phases, margin)
+        return touching
+
+    def _touches_moving(self, track: np.ndarray, steps: np.ndarray, phases: np.ndarray, margin: float) -> np.ndarray:
+        count, substeps = track.shape[:2]
+        period = self.task.control_period
+        times = (steps[:, None] - 1) * period + period / substeps * np.arange(1, substeps + 1)
+        poses = self._obstacles_at(times.ravel(), phases)
+        dynamics, needed = self.dynamics, self.robot.radius + margin
+        points = track[..., :2].reshape(-1, 2)
+        away = np.hypot(*(poses[..., :2] - points[:, None]).transpose(2, 0, 1)) - dynamics.reach[0]
+        may_touch = dynamics.moves[0] & (dynamics.base[0] < self.robot.height)
+        place, slot = np.nonzero(may_touch & (away < needed))
+        distance = dynamics.distances(np.zeros(len(slot), dtype=np.intp), slot, poses[place, slot], points[place])
+        touching = np.zeros(count, dtype=bool)
+        touching[place[distance < needed] // substeps] = True
+        return touching
+
+    def _obstacles_at(self, times: np.ndarray, phases: np.ndarray) -> np.ndarray:
+        """``(K, D, 3)`` poses at ``times`` ``(K,)``, seconds."""
+        rows = np.zeros(len(times), dtype=np.intp)
+        return self.dynamics.poses(rows, np.broadcast_to(phases, (len(times), len(phases))), times)
+
+    def _touches_standing(self, track: np.ndarray, margin: float) -> np.ndarray:
         needed = self.robot.radius + margin
         clear, _ = self._in_the_way.nearest(track[:, -1, :2])
         touching = clear < needed
@@ -226,8 +307,9 @@ class _Rules:
             touching[doubtful] = clear.reshape(way.shape[:2]).min(axis=1, initial=math.inf) < needed
         return touching
 
-    def sees_too_near(self, poses: np.ndarray, margin: float) -> np.ndarray:
-        """``(N,)`` bool: a pixel is less than the collision depth and ``margin`` away."""
+    def sees_too_near(self, poses: np.ndarray, steps: np.ndarray, phases: np.ndarray, margin: float) -> np.ndarray:
+        """``(N,)`` bool: a pixel is less than the collision depth and ``margin`` away, ``steps`` ``(N,)`` after the
+        start."""
         near = np.zeros(len(poses), dtype=bool)
         if self.task.collision_depth == 0.0:
             return near
@@ -235,14 +317,26 @@ class _Rules:
         # No pixel of that depth is further from the robot's centre than the image's corner columns.
         reach = math.hypot(camera.mount_x, camera.mount_y) + limit * camera.floor_reach
         clear, _ = self._all.nearest(poses[:, :2])
+        obstacles = self._obstacles_at(steps * self.task.control_period, phases)
+        if self.anything_moves:
+            away = np.hypot(*(obstacles[..., :2] - poses[:, None, :2]).transpose(2, 0, 1)) - self.dynamics.reach[0]
+            clear = np.minimum(clear, np.where(self.dynamics.moves[0], away, math.inf).min(axis=1))
         doubtful = np.flatnonzero(clear < reach)
-        index = np.zeros(len(doubtful), dtype=np.intp)
-        near[doubtful] = nearest_depth(self._scene, index, poses[doubtful], camera, within=limit) < limit
+        index, moving = self._seen(doubtful, obstacles)
+        near[doubtful] = nearest_depth(self._scene, index, poses[doubtful], camera, limit, moving) < limit
         if camera.depth == "range" and near.any():
             doubtful = np.flatnonzero(near)  # a ray is longer than its planar depth
-            images = cast(self._scene, np.zeros(len(doubtful), dtype=np.intp), poses[doubtful], camera)
+            index, moving = self._seen(doubtful, obstacles)
+            images = cast(self._scene, index, poses[doubtful], camera, moving)
             near[doubtful] = camera.from_planar(images).min(axis=(1, 2)) < limit
         return near
+
+    def _seen(self, nodes: np.ndarray, obstacles: np.ndarray) -> tuple[np.ndarray, MovingPrisms | None]:
+        """What the ray-caster needs beside the scene for some of the poses whose ``obstacles`` are ``(N, D, 3)``."""
+        index = np.zeros(len(nodes), dtype=np.intp)
+        if not self.anything_moves:
+            return index, None
+        return index, self.dynamics.prisms(index, obstacles[nodes], self.dynamics.moves)
 
 
 class _Guide:
@@ -288,7 +382,7 @@ class _Guide:
 
 
 def _search(
-    start_pose: np.ndarray, goal: np.ndarray, effort: _Effort, rules: _Rules, guide: _Guide
+    start_pose: np.ndarray, goal: np.ndarray, phases: np.ndarray, effort: _Effort, rules: _Rules, guide: _Guide
 ) -> np.ndarray | None:
     """Actions that lead from a start to a goal by the rules, ``(K,)`` int64; None where the search found none."""
     task = rules.task
@@ -298,6 +392,8 @@ def _search(
     parents, taken = np.empty(capacity, dtype=np.int64), np.empty(capacity, dtype=np.int64)
     poses[0], speeds[0], commands[0], costs[0], steps[0], parents[0] = start_pose, 0.0, INITIAL_COMMAND, 0.0, 0, -1
     stride = min(_FASTEST, rules.robot.max_linear_speed) * task.control_period
+    # Steps that a cell of the lattice lasts: for ever, where all stands still.
+    lasting = max(1, round(_CELL_LASTS / task.control_period)) if rules.anything_moves else task.max_steps + 1
     count, examined = 1, 0
     queue: list[tuple[float, int]] = [(0.0, 0)]
     closed: set[tuple[int, ...]] = set()
@@ -308,17 +404,17 @@ def _search(
             batch.append(heapq.heappop(queue)[1])
         nodes = np.array(batch)
         examined += len(nodes)
-        cells = _cells(poses[nodes], commands[nodes], effort)
+        cells = _cells(poses[nodes], commands[nodes], steps[nodes] // lasting, effort)
         moved = parents[nodes] >= 0
         allowed = np.array([cell not in closed for cell in cells])
         check = np.flatnonzero(allowed & moved)
         origin = parents[nodes[check]]
         track, _ = rules.drive(poses[origin], speeds[origin], commands[nodes[check]])
-        free = ~rules.touches(track, effort.margin)
+        free = ~rules.touches(track, steps[nodes[check]], phases, effort.margin)
         arrived = free & (goal_distance(track[:, -1], goal) < task.goal_radius - _ROUNDING)
         if arrived.any():
             return _actions_to(nodes[check[np.argmax(arrived)]], parents, taken)
-        free[free] = ~rules.sees_too_near(track[free, -1], effort.margin)
+        free[free] = ~rules.sees_too_near(track[free, -1], steps[nodes[check[free]]], phases, effort.margin)
         allowed[check] = free
         kept = []
         for position in np.flatnonzero(allowed):
@@ -331,7 +427,8 @@ def _search(
         origin, action, command = _successors(np.array(kept), commands)
         track, speed = rules.drive(poses[origin], speeds[origin], command)
         pose = track[:, -1]
-        new = np.array([cell not in closed for cell in _cells(pose, command, effort)])
+        cells = _cells(pose, command, (steps[origin] + 1) // lasting, effort)
+        new = np.array([cell not in closed for cell in cells])
         straight = goal_distance(pose, goal) - task.goal_radius
         new &= (steps[origin] + 1) * stride + straight < task.max_steps * stride + _ROUNDING
         origin, action, command, speed, pose = (part[new] for part in (origin, action, command, speed, pose))
@@ -357,12 +454,12 @@ def _successors(nodes: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray, np
     return origin[distinct], action[distinct], command[distinct]
 
 
-def _cells(poses: np.ndarray, commands: np.ndarray, effort: _Effort) -> list[tuple[int, ...]]:
-    """The lattice cell of each pose and command."""
+def _cells(poses: np.ndarray, commands: np.ndarray, times: np.ndarray, effort: _Effort) -> list[tuple[int, ...]]:
+    """The lattice cell of each pose and command at a time, counted in what a cell lasts."""
     place = np.floor(poses[:, :2] / effort.cell)
     heading = np.rint(poses[:, 2] * (effort.headings / (2.0 * math.pi))) % effort.headings
     command = np.rint(commands * 1000.0)
-    return list(map(tuple, np.column_stack([place, heading, command]).astype(np.int64).tolist()))
+    return list(map(tuple, np.column_stack([place, heading, command, times]).astype(np.int64).tolist()))
 
 
 def _actions_to(node: int, parents: np.ndarray, taken: np.ndarray) -> np.ndarray:

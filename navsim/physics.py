@@ -27,6 +27,8 @@ from collections.abc import Sequence
 import numpy as np
 import pymunk
 
+from navsim.contact_space import ALLOWED_OVERLAP, CONTACT_OVERLAP, LONGEST_STEP, PUSHES, ContactSpace
+from navsim.dynamics import Dynamics, MovingPrisms
 from navsim.robot import TURTLEBOT2, Robot, wrap_angle
 from navsim.world import World
 
@@ -34,13 +36,8 @@ _ROBOT, _OBSTACLE = 1, 2  # Chipmunk collision types
 _ROBOTS = pymunk.ShapeFilter(group=1)  # shapes of one group do not collide: robots pass through each other
 _ANYTHING = pymunk.ShapeFilter()
 
-CONTACT_OVERLAP = 0.5e-3
-"""How deep a robot that is pushed out stays in contact, metres: so that the contact holds while it slides."""
-ALLOWED_OVERLAP = 1e-3
-"""Overlap that needs no correction, metres."""
-
 _HORIZON = 2.0  # metres up to which distances are asked for: farther obstacles need not be looked at
-_PUSHES = 8  # corrections along contact normals before a robot is put back instead
+_STATE = ("poses", "speeds", "world_index", "phases", "clock", "obstacle_poses", "obstacle_speeds")
 _MARGIN = 1e-6  # metres by which a clearance must exceed what is needed, far above rounding
 
 
@@ -59,6 +56,13 @@ class Physics:
         poses: ``(N, 3)`` float64 x, y (metres) and yaw (radians, in (−π, π]).
         speeds: ``(N, 2)`` float64, forward (m/s) and turning (rad/s) speed of the wheels.
         world_index: ``(N,)`` the world that each robot is in.
+        phases: ``(N, D)`` in [0, 1), where in their periods moving obstacles were when each robot was placed.
+        clock: ``(N,)`` seconds since then.
+        obstacle_poses: ``(N, D, 3)`` where each robot's dynamic obstacles are: x, y (metres), angle (radians); see
+            ``navsim.dynamics``. Every robot has its own.
+        obstacle_speeds: ``(N, D, 3)`` m/s and rad/s, of pushable ones.
+        touched_solid: ``(N,)`` bool, whether each touched something that does not give way in the last ``drive``.
+        touched_pushable: ``(N,)`` bool, whether it touched something pushable then.
     """
 
     def __init__(
@@ -72,24 +76,48 @@ class Physics:
         self.poses = np.zeros((num_robots, 3))
         self.speeds = np.zeros((num_robots, 2))
         self.world_index = np.zeros(num_robots, dtype=np.intp)
+        self.dynamics = Dynamics(self.worlds)
+        self.phases = np.zeros((num_robots, self.dynamics.most))
+        self.clock = np.zeros(num_robots)
+        self.obstacle_poses = self.dynamics.poses(self.world_index, self.phases, self.clock)
+        self.obstacle_speeds = np.zeros((num_robots, self.dynamics.most, 3))
+        self.touched_solid: np.ndarray = np.zeros(num_robots, dtype=bool)
+        self.touched_pushable: np.ndarray = np.zeros(num_robots, dtype=bool)
         self._spaces: dict[int, _Space] = {}
+        self._contact_spaces: dict[int, ContactSpace] = {}
         self._bodies = [_RobotBody(robot) for _ in range(num_robots)]
         # A distance from the robot's centre within which nothing stands, metres; negative where unknown.
         self._free_radius = np.full(num_robots, -1.0)
 
-    def place(self, robots: np.ndarray | Sequence[int], world_index: np.ndarray | int, poses: np.ndarray) -> None:
-        """Puts some robots somewhere, at rest.
+    def place(
+        self,
+        robots: np.ndarray | Sequence[int],
+        world_index: np.ndarray | int,
+        poses: np.ndarray,
+        phases: np.ndarray | Sequence[float] = (),
+    ) -> None:
+        """Puts some robots somewhere, at rest, among pushable obstacles as the file puts them.
 
         Args:
             robots: ``(K,)`` indices of robots.
             world_index: ``(K,)`` or one for all, the worlds to put them into.
             poses: ``(K, 3)`` x, y (metres) and yaw (radians).
+            phases: ``(K, d)``, or ``(d,)`` for all, where in their periods the first d dynamic obstacles are, in
+                [0, 1); 0 for the others.
         """
         self.poses[robots] = poses
         self.poses[robots, 2] = wrap_angle(self.poses[robots, 2])
         self.world_index[robots] = world_index
         self.speeds[robots] = 0.0
         self._free_radius[robots] = -1.0
+        if self.dynamics.most:
+            given = np.broadcast_to(phases, (len(robots), np.shape(phases)[-1]))
+            self.phases[robots], self.clock[robots] = 0.0, 0.0
+            self.phases[robots, : given.shape[1]] = given
+            self.obstacle_poses[robots] = self.dynamics.poses(
+                self.world_index[robots], self.phases[robots], self.clock[robots]
+            )
+            self.obstacle_speeds[robots] = 0.0
 
     def drive(self, commands: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:
         """Lets every robot follow its command for a while.
@@ -102,8 +130,10 @@ class Physics:
             duration: seconds; cut into equal substeps of at most ``substep``.
 
         Returns:
-            ``(N, 3)`` float64 poses afterwards (a copy), and ``(N,)`` bool: the bumper touched something on the way.
+            ``(N, 3)`` float64 poses afterwards (a copy), and ``(N,)`` bool: the bumper touched something on the way,
+            whether that gives way or not.
         """
+        self.touched_solid[:] = self.touched_pushable[:] = False
         substeps = max(1, math.ceil(duration / self.substep - 1e-9))
         dt = duration / substeps
         speeds = self._speeds_by_substep(commands, substeps, dt)
@@ -114,28 +144,109 @@ class Physics:
         # Summed one by one, as Chipmunk does.
         track = np.cumsum(np.concatenate([self.poses[:, None, :2], velocities * dt], axis=1), axis=1)
 
-        near = self._near_something(np.abs(speeds[..., 0]).sum(axis=1) * dt)
-        bumper = np.zeros(len(self.poses), dtype=bool)
+        travel = np.abs(speeds[..., 0]).sum(axis=1) * dt
+        near = self._near_something(travel)
+        touched = np.zeros(len(self.poses), dtype=bool)
         positions = track[:, -1]
+        if self.dynamics.most:
+            lively = self._drive_among_dynamic_obstacles(positions, velocities, travel, dt)
+            near = near[~lively[near]]
         for world in np.unique(self.world_index[near]):
             members = near[self.world_index[near] == world]
-            positions[members], bumper[members] = self._space(world).simulate(
+            positions[members], touched[members] = self._space(world).simulate(
                 [self._bodies[member] for member in members], self.poses[members, :2], velocities[members], dt
             )
         self.poses[:, :2] = positions
         self.poses[:, 2] = wrap_angle(headings[:, -1])
         self.speeds = speeds[:, -1].copy()
+        self.touched_solid |= touched
+        bumper: np.ndarray = self.touched_solid | self.touched_pushable
         return self.poses.copy(), bumper
+
+    def moving_prisms(self, robots: np.ndarray, with_pushable: bool = True) -> MovingPrisms | None:
+        """What ``navsim.raycast.cast`` needs to show some robots ``(K,)`` their dynamic obstacles; None without any."""
+        if not self.dynamics.most:
+            return None
+        keep = None if with_pushable else self.dynamics.moves
+        return self.dynamics.prisms(self.world_index[robots], self.obstacle_poses[robots], keep)
+
+    def _drive_among_dynamic_obstacles(
+        self, positions: np.ndarray, velocities: np.ndarray, travel: np.ndarray, dt: float
+    ) -> np.ndarray:
+        """Moves all dynamic obstacles, and the robots that come near them or whose pushable ones do not rest.
+
+        Args:
+            positions: ``(N, 2)`` where robots end if they touch nothing, metres; overwritten for those driven here.
+            velocities: ``(N, S, 2)`` m/s, the commanded ones of each substep.
+            travel: ``(N,)`` metres that robots may move.
+            dt: length of a substep, seconds.
+
+        Returns:
+            ``(N,)`` bool: the robots that were driven here.
+        """
+        substeps = velocities.shape[1]
+        involved = self._involved_obstacles(travel, substeps * dt)
+        lively: np.ndarray = np.any(involved, axis=1)
+        for index in np.flatnonzero(lively).tolist():
+            world, near = int(self.world_index[index]), involved[index]
+            fastest = float(self.dynamics.top_speed[world, near].max())
+            fine = max(1, math.ceil(fastest * dt / LONGEST_STEP))
+            times = self.clock[index] + (dt / fine) * np.arange(substeps * fine + 1)
+            rows = np.full(len(times), world), np.broadcast_to(self.phases[index], (len(times), self.dynamics.most))
+            position, self.touched_solid[index], self.touched_pushable[index] = self._contact_space(world).simulate(
+                self.poses[index, :2],
+                velocities[index],
+                dt,
+                self.dynamics.poses(*rows, times),
+                near,
+                self.obstacle_poses[index],
+                self.obstacle_speeds[index],
+            )
+            positions[index] = position
+            self._free_radius[index] = -1.0
+        self.clock += substeps * dt
+        moved = self.dynamics.poses(self.world_index, self.phases, self.clock)
+        self.obstacle_poses = np.where(self.dynamics.moves[self.world_index][..., None], moved, self.obstacle_poses)
+        return lively
+
+    def _involved_obstacles(self, travel: np.ndarray, duration: float) -> np.ndarray:
+        """``(N, D)`` bool: the dynamic obstacles that might touch the robot or a pushable obstacle in ``duration``.
+
+        Where that concerns a pushable obstacle, all obstacles are involved: it may be pushed into any of them.
+        """
+        dynamics, world = self.dynamics, self.world_index
+        poses, reach = self.obstacle_poses, dynamics.reach[world]
+        moves, is_pushable = dynamics.moves[world], dynamics.is_pushable[world]
+        way = dynamics.top_speed[world] * duration
+        needed = self.robot.radius + travel[:, None] + way + _MARGIN
+        offset = poses[..., :2] - self.poses[:, None, :2]
+        doubtful = (moves | is_pushable) & (dynamics.base[world] < self.robot.height)
+        doubtful &= np.hypot(offset[..., 0], offset[..., 1]) < reach + needed
+        involved = doubtful.copy()
+        robot, slot = np.nonzero(doubtful)
+        distance = dynamics.distances(world[robot], slot, poses[robot, slot], self.poses[robot, :2])
+        involved[robot, slot] = distance < needed[robot, slot]
+
+        stirs = (is_pushable & (involved | (self.obstacle_speeds != 0.0).any(axis=-1))).any(axis=1)
+        robot, slot, other = np.nonzero(~stirs[:, None, None] & moves[:, :, None] & is_pushable[:, None, :])
+        apart = poses[robot, slot, :2] - poses[robot, other, :2]
+        needed = reach[robot, other] + way[robot, slot] + _MARGIN
+        shares_heights = dynamics.base[world[robot], slot] < dynamics.top[world[robot], other]
+        close = np.flatnonzero(shares_heights & (np.hypot(apart[:, 0], apart[:, 1]) < reach[robot, slot] + needed))
+        robot, slot, other = robot[close], slot[close], other[close]
+        distance = dynamics.distances(world[robot], slot, poses[robot, slot], poses[robot, other, :2])
+        stirs[robot[distance < needed[close]]] = True
+        involved[stirs] = (moves | is_pushable)[stirs]
+        return involved
 
     def state_dict(self) -> dict[str, np.ndarray]:
         """All that a later ``drive`` depends on, as copies."""
-        return {"poses": self.poses.copy(), "speeds": self.speeds.copy(), "world_index": self.world_index.copy()}
+        return {name: getattr(self, name).copy() for name in _STATE}
 
     def load_state_dict(self, state: dict[str, np.ndarray]) -> None:
         """Continues from a ``state_dict`` of as many robots in the same worlds."""
-        self.poses[:] = state["poses"]
-        self.speeds[:] = state["speeds"]
-        self.world_index[:] = state["world_index"]
+        for name in _STATE:
+            getattr(self, name)[:] = state[name]
         self._free_radius[:] = -1.0
 
     def _speeds_by_substep(self, commands: np.ndarray, substeps: int, dt: float) -> np.ndarray:
@@ -166,11 +277,49 @@ class Physics:
         self._free_radius[near] = -1.0
         return near
 
+    def _contact_space(self, world: int) -> ContactSpace:
+        space = self._contact_spaces.get(world)
+        if space is None:
+            space = self._contact_spaces[world] = ContactSpace(self.worlds[world], self.robot)
+        return space
+
     def _space(self, world: int) -> _Space:
         space = self._spaces.get(world)
         if space is None:
             space = self._spaces[world] = _Space(self.worlds[world], self.robot)
         return space
+
+
+def obstacle_poses_along(
+    world: World,
+    start: np.ndarray,
+    phases: np.ndarray | Sequence[float],
+    commands: np.ndarray,
+    duration: float,
+    robot: Robot = TURTLEBOT2,
+    substep: float = 0.02,
+) -> np.ndarray:
+    """Where a world's dynamic obstacles are while a robot drives: its episode once more, for pictures of it.
+
+    Args:
+        world: the world.
+        start: ``(3,)`` the robot's pose at the beginning.
+        phases: of the moving obstacles at the beginning.
+        commands: ``(K, 2)`` m/s and rad/s.
+        duration: of each command, seconds.
+        robot: who drives.
+        substep: of the physics, seconds.
+
+    Returns:
+        ``(K + 1, D, 3)``, at the beginning and after each command; see ``navsim.dynamics``.
+    """
+    physics = Physics([world], 1, robot, substep)
+    physics.place([0], 0, np.asarray(start, dtype=np.float64)[None], phases)
+    poses = [physics.obstacle_poses[0].copy()]
+    for command in commands:
+        physics.drive(command[None], duration)
+        poses.append(physics.obstacle_poses[0].copy())
+    return np.array(poses)
 
 
 def _chord_velocities(speeds: np.ndarray, directions: np.ndarray, dt: float) -> np.ndarray:
@@ -202,13 +351,13 @@ class _RobotBody:
 
 
 class _Space:
-    """One world's obstacles, as far as they stand in the robot's way, in a Chipmunk space."""
+    """One world's fixed obstacles, as far as they stand in the robot's way, in a Chipmunk space."""
 
     def __init__(self, world: World, robot: Robot) -> None:
         self._space = pymunk.Space()
         # Chipmunk would end overlaps bit by bit, and leave 0.1, its allowance for pixels: `_push_out` does it at once.
         self._space.collision_bias = 1.0
-        for prism in world.prisms:
+        for prism in world.fixed_prisms:
             if prism.overlaps_heights(0.0, robot.height):
                 shape: pymunk.Shape
                 if prism.is_cylinder:
@@ -241,10 +390,10 @@ class _Space:
         Returns:
             ``(K, 2)`` positions afterwards, metres, and ``(K,)`` bool: whether each touched something.
         """
-        for robot, (x, y) in zip(robots, positions.tolist(), strict=True):
-            robot.body.position = x, y
-            self._space.add(robot.body, robot.shape)
         schedules = [[(x, y) for x, y in schedule] for schedule in velocities.tolist()]
+        for robot, (x, y), schedule in zip(robots, positions.tolist(), schedules, strict=True):
+            robot.body.position, robot.body.velocity = (x, y), schedule[0]
+            self._space.add(robot.body, robot.shape)
         touched = np.zeros(len(robots), dtype=bool)
         self._in_contact.clear()
         for substep in range(velocities.shape[1]):
@@ -271,7 +420,7 @@ class _Space:
 
     def _push_out(self, robot: _RobotBody, start: pymunk.Vec2d) -> None:
         """Ends an overlap by moving the body along contact normals, the deepest first, or else back to ``start``."""
-        for _ in range(_PUSHES):
+        for _ in range(PUSHES):
             depth, normal = self._deepest_contact(robot)
             if depth <= ALLOWED_OVERLAP:
                 return

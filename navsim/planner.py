@@ -1,7 +1,9 @@
 """Clearance, shortest paths and distance fields for a disc-shaped robot in a world.
 
-Only prisms that share some height with the robot block it. Its centre stays at least its radius from them and from the
-walls. Where there are no walls, paths may leave the room's rectangle by up to ``OPEN_FLOOR_MARGIN``.
+Only prisms that share some height with the robot block it, and of these only what stands: a moving obstacle lets the
+robot pass sooner or later, and a pushable one stands where the file puts it. The robot's centre stays at least its
+radius from them and from the walls. Where there are no walls, paths may leave the room's rectangle by up to
+``OPEN_FLOOR_MARGIN``.
 """
 
 from __future__ import annotations
@@ -182,8 +184,8 @@ class FreeSpace:
     """
 
     def __init__(self, world: World, robot_radius: float, robot_height: float) -> None:
-        self.blocking = [p for p in world.prisms if p.obstacle >= 0 and p.overlaps_heights(0.0, robot_height)]
-        """The prisms in the robot's way, without the walls."""
+        self.blocking = [p for p in world.standing_prisms if p.obstacle >= 0 and p.overlaps_heights(0.0, robot_height)]
+        """The prisms in the robot's way, without the walls and without what moves by itself."""
         margin = OPEN_FLOOR_MARGIN if world.walls is None else -robot_radius
         self.robot_radius = robot_radius
         self.half_extents = world.half_size + margin

@@ -26,9 +26,10 @@ from typing import NamedTuple
 import numpy as np
 
 from navsim.camera import DepthCamera, Mounts, tilted
+from navsim.dynamics import Dynamics, MovingPrisms
 from navsim.pitched import inverse_depths
 from navsim.prism import Prism
-from navsim.view import NEAR, View, edges_of, expand, frames_of, in_view
+from navsim.view import NEAR, Frames, View, edges_of, expand, frames_of, in_view
 from navsim.world import World
 
 
@@ -134,13 +135,20 @@ class _CellIndex:
         return owner, self._entries[start[owner] + inside]
 
 
-def render_depth(worlds: World | Sequence[World], poses: np.ndarray, camera: DepthCamera | None = None) -> np.ndarray:
+def render_depth(
+    worlds: World | Sequence[World],
+    poses: np.ndarray,
+    camera: DepthCamera | None = None,
+    obstacle_poses: np.ndarray | None = None,
+) -> np.ndarray:
     """Ideal planar depth images: what a perfect camera sees, without blind zone or noise.
 
     Args:
         worlds: one world for all poses, or one for each pose.
         poses: ``(N, 3)`` x, y (metres) and yaw (radians) of the robot.
         camera: image size, field of view, mounting and greatest depth; the Kinect at 80x64 by default.
+        obstacle_poses: ``(N, D, 3)`` where the obstacles that move or can be pushed are in each image, as
+            ``Simulator.obstacle_poses`` tells; by default where the world files put them.
 
     Returns:
         ``(N, H, W)`` float32, metres along the optical axis, at most ``camera.max_range``; 0 everywhere in an image
@@ -168,11 +176,19 @@ def render_depth(worlds: World | Sequence[World], poses: np.ndarray, camera: Dep
         distinct = [worlds[first] for first in firsts]
         rank = {first: number for number, first in enumerate(firsts)}
         world_index = np.array([rank[positions[id(world)]] for world in worlds], dtype=np.intp)
-    return cast(Scene(distinct), world_index, poses, camera or DepthCamera())
+    if obstacle_poses is None:
+        return cast(Scene(distinct), world_index, poses, camera or DepthCamera())
+    moving = Dynamics(distinct).prisms(world_index, obstacle_poses)
+    return cast(Scene([world.fixed_prisms for world in distinct]), world_index, poses, camera or DepthCamera(), moving)
 
 
 def cast(
-    scene: Scene, world_index: np.ndarray, poses: np.ndarray, camera: DepthCamera, mounts: Mounts | None = None
+    scene: Scene,
+    world_index: np.ndarray,
+    poses: np.ndarray,
+    camera: DepthCamera,
+    moving: MovingPrisms | None = None,
+    mounts: Mounts | None = None,
 ) -> np.ndarray:
     """``render_depth`` on a scene that is compiled once.
 
@@ -181,6 +197,7 @@ def cast(
         world_index: ``(N,)``, each robot's world in the scene.
         poses: ``(N, 3)`` float64, robots' x, y (metres), yaw (radians).
         camera: the camera.
+        moving: what each robot sees beside its world in the scene.
         mounts: how each robot carries it, where that is not as ``camera`` says.
 
     Returns:
@@ -189,12 +206,13 @@ def cast(
     mounts = camera.mounts(len(poses)) if mounts is None else mounts
     pitched = mounts.pitch != 0.0
     if not pitched.any():
-        return _cast_level(scene, world_index, poses, camera, mounts)
+        return _cast_level(scene, world_index, poses, camera, mounts, moving)
     if pitched.all():
-        return _cast_pitched(scene, world_index, poses, camera, mounts)
+        return _cast_pitched(scene, world_index, poses, camera, mounts, moving)
     image = np.empty((len(poses), camera.height, camera.width), dtype=np.float32)
     for cast_some, some in ((_cast_level, ~pitched), (_cast_pitched, pitched)):
-        image[some] = cast_some(scene, world_index[some], poses[some], camera, mounts.take(some))
+        chosen = None if moving is None else moving.take(some)
+        image[some] = cast_some(scene, world_index[some], poses[some], camera, mounts.take(some), chosen)
     return image
 
 
@@ -204,12 +222,13 @@ def nearest_depth(
     poses: np.ndarray,
     camera: DepthCamera,
     within: float = 0.5,
+    moving: MovingPrisms | None = None,
     mounts: Mounts | None = None,
 ) -> np.ndarray:
     """The least planar depth that any pixel sees of an obstacle or a wall, the floor left out.
 
     Args:
-        scene, world_index, poses, camera, mounts: as for ``cast``.
+        scene, world_index, poses, camera, moving, mounts: as for ``cast``.
         within: how far to look, metres; a smaller figure is faster.
 
     Returns:
@@ -220,7 +239,8 @@ def nearest_depth(
     pitched = mounts.pitch != 0.0
     for find, some in ((_nearest_level, ~pitched), (_nearest_pitched, pitched)):
         if some.any():
-            nearest[some] = find(scene, world_index[some], poses[some], camera, mounts.take(some), within)
+            chosen = None if moving is None else moving.take(some)
+            nearest[some] = find(scene, world_index[some], poses[some], camera, mounts.take(some), within, chosen)
     return nearest
 
 
@@ -228,11 +248,16 @@ def nearest_depth(
 
 
 def _cast_level(
-    scene: Scene, world_index: np.ndarray, poses: np.ndarray, camera: DepthCamera, mounts: Mounts
+    scene: Scene,
+    world_index: np.ndarray,
+    poses: np.ndarray,
+    camera: DepthCamera,
+    mounts: Mounts,
+    moving: MovingPrisms | None,
 ) -> np.ndarray:
     num_robots, height, width = len(poses), camera.height, camera.width
     half = (height + 1) // 2
-    standing, hanging = _trace(scene, world_index, poses, camera, mounts, camera.max_range)
+    standing, hanging = _trace(scene, world_index, poses, camera, mounts, camera.max_range, moving)
     rows = np.full((half, 2 * num_robots * width), camera.max_range, dtype=np.float32)
     _paint_standing(rows, standing, camera)
     floor = camera.inverse_row_slopes[:half, None] * mounts.z
@@ -254,8 +279,9 @@ def _nearest_level(
     camera: DepthCamera,
     mounts: Mounts,
     within: float,
+    moving: MovingPrisms | None,
 ) -> np.ndarray:
-    standing, hanging = _trace(scene, world_index, poses, camera, mounts, within)
+    standing, hanging = _trace(scene, world_index, poses, camera, mounts, within, moving)
     nearest = np.full(2 * len(poses), within, dtype=np.float32)
     seen = _row_under(standing.top, standing.near, camera) < (camera.height + 1) // 2
     np.minimum.at(nearest, standing.column[seen] // camera.width, standing.near[seen].astype(np.float32))
@@ -270,7 +296,13 @@ def _nearest_level(
 
 
 def _inverse_depths(
-    scene: Scene, world_index: np.ndarray, poses: np.ndarray, camera: DepthCamera, mounts: Mounts, max_range: float
+    scene: Scene,
+    world_index: np.ndarray,
+    poses: np.ndarray,
+    camera: DepthCamera,
+    mounts: Mounts,
+    max_range: float,
+    moving: MovingPrisms | None,
 ) -> np.ndarray:
     """``(N, H, W)`` inverse depths of all but the floor; 1 / ``max_range`` for nothing, inf inside an obstacle."""
     frames = frames_of(poses, mounts)
@@ -280,14 +312,20 @@ def _inverse_depths(
     reach = max_range * math.hypot(1.0, half_width, half_height)
     pairs = scene.candidates(world_index, frames.position, reach)
     advances, climbs = tilted(camera.row_slopes, mounts.pitch[:, None])
-    view = in_view(scene, *pairs, frames, mounts, max_range * advances.max(axis=1), half_width / advances.min(axis=1))
+    depth, spread = max_range * advances.max(axis=1), half_width / advances.min(axis=1)
+    view = _view(scene, pairs, moving, frames, mounts, depth, spread)
     return inverse_depths(view, camera, mounts.pitch, advances, climbs, max_range)
 
 
 def _cast_pitched(
-    scene: Scene, world_index: np.ndarray, poses: np.ndarray, camera: DepthCamera, mounts: Mounts
+    scene: Scene,
+    world_index: np.ndarray,
+    poses: np.ndarray,
+    camera: DepthCamera,
+    mounts: Mounts,
+    moving: MovingPrisms | None,
 ) -> np.ndarray:
-    inverse = _inverse_depths(scene, world_index, poses, camera, mounts, camera.max_range)
+    inverse = _inverse_depths(scene, world_index, poses, camera, mounts, camera.max_range, moving)
     _, climbs = tilted(camera.row_slopes, mounts.pitch[:, None])
     floor = (-climbs / mounts.z[:, None]).astype(np.float32)
     np.maximum(inverse, floor[:, :, None], out=inverse)
@@ -301,8 +339,9 @@ def _nearest_pitched(
     camera: DepthCamera,
     mounts: Mounts,
     within: float,
+    moving: MovingPrisms | None,
 ) -> np.ndarray:
-    inverse = _inverse_depths(scene, world_index, poses, camera, mounts, within)
+    inverse = _inverse_depths(scene, world_index, poses, camera, mounts, within, moving)
     return np.minimum(np.reciprocal(inverse.max(axis=(1, 2))), np.float32(within))
 
 
@@ -381,15 +420,38 @@ def _disc_around_view(half_width: float, max_range: float) -> tuple[float, float
     return radius, radius
 
 
+def _view(
+    scene: Scene,
+    pairs: tuple[np.ndarray, np.ndarray],
+    moving: MovingPrisms | None,
+    frames: Frames,
+    mounts: Mounts,
+    depth: np.ndarray | float,
+    spread: np.ndarray | float,
+) -> View:
+    """What may be in view of the pairs of a robot and a prism of the scene, and of what each robot sees beside it."""
+    view = in_view(scene, *pairs, frames, mounts, depth, spread)
+    if moving is None or not len(moving.robot):
+        return view
+    others = in_view(moving, moving.robot, np.arange(len(moving.robot)), frames, mounts, depth, spread)
+    return View(*(np.concatenate(both) for both in zip(view, others, strict=True)))
+
+
 def _trace(
-    scene: Scene, world_index: np.ndarray, poses: np.ndarray, camera: DepthCamera, mounts: Mounts, max_range: float
+    scene: Scene,
+    world_index: np.ndarray,
+    poses: np.ndarray,
+    camera: DepthCamera,
+    mounts: Mounts,
+    max_range: float,
+    moving: MovingPrisms | None,
 ) -> tuple[_Standing, _Hanging]:
     """What all columns of level cameras can see up to ``max_range`` metres."""
     frames = frames_of(poses, mounts)
     half_width = math.tan(math.radians(camera.horizontal_fov_deg) / 2)
     middle, reach = _disc_around_view(half_width, max_range)
     pairs = scene.candidates(world_index, frames.ahead(middle), reach)
-    view = in_view(scene, *pairs, frames, mounts, max_range, half_width)
+    view = _view(scene, pairs, moving, frames, mounts, max_range, half_width)
     robot, base, top, radius, hangs = view.robot, view.base, view.top, view.radius, view.hangs
     circles = np.flatnonzero(radius > 0.0)
     parts = (
@@ -400,7 +462,7 @@ def _trace(
     column += (robot * camera.width)[pair]
     in_range, hangs = near < max_range, hangs[pair]
 
-    lower = len(poses) * camera.width
+    lower = len(frames.position) * camera.width
     index = np.flatnonzero(in_range & ~hangs)
     pair_of, near_of, column_of = pair[index], near[index], column[index]
     standing = _Standing(

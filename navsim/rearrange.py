@@ -2,6 +2,7 @@
 
 A robot that trains in one room learns that room. What stands together in a world (a table top and its legs, a can on a
 step) is moved as one piece, to a random place with a random turn, so that every gap is either closed or wide enough.
+What moves takes its way along: a piece is as large as all the floor that it sweeps.
 """
 
 from __future__ import annotations
@@ -11,13 +12,16 @@ from typing import Any
 
 import numpy as np
 
+from navsim.dynamics import dynamic_obstacles
 from navsim.footprints import Footprints
+from navsim.motion_rules import sweeps
 from navsim.prism import Prism
 from navsim.world import World
 
 TOGETHER = 0.06
 """Obstacles that are nearer to each other than this, metres, are one piece of furniture."""
 _TRIES = 150  # places tried for a piece before it is left out: the room is full
+_SWEEP_MARGIN = 1e-3  # metres to the walls for what moves or can be pushed: more than points miss of what is swept
 _SPACING = 0.05  # of the points that stand for a piece's outline, metres; errors of gaps are a hundredth of it
 
 
@@ -43,7 +47,7 @@ def _arranged(world: World, pieces: list[_Piece], generator: np.random.Generator
     outlines = np.zeros((0, 2))
     for piece in pieces:
         for _ in range(_TRIES):
-            turn, offset = piece.place(generator, world.half_size, gap)
+            turn, offset = piece.place(generator, world.half_size - piece.margin, gap)
             outline = piece.outline @ turn.T + offset
             if (np.abs(outline) > world.half_size).any():
                 continue
@@ -58,9 +62,10 @@ def _arranged(world: World, pieces: list[_Piece], generator: np.random.Generator
 class _Piece:
     """Obstacles that stay together, in coordinates around the middle of them all."""
 
-    def __init__(self, prisms: list[Prism]) -> None:
+    def __init__(self, prisms: list[Prism], dynamic: set[int]) -> None:
         self.members = sorted({prism.obstacle for prism in prisms})
-        outline = np.concatenate([_outline(prism) for prism in prisms])
+        outline = np.concatenate([_outline(prism, outside=prism.obstacle in dynamic) for prism in prisms])
+        self.margin = _SWEEP_MARGIN if dynamic.intersection(self.members) else 0.0
         self.centre = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
         self.outline = outline - self.centre
         self.extent = float(np.linalg.norm(self.outline, axis=1).max())
@@ -86,7 +91,12 @@ class _Piece:
 
 def _pieces(world: World) -> list[_Piece]:
     """What stands together, found by following neighbours."""
-    prisms = [prism for prism in world.prisms if prism.obstacle >= 0]
+    prisms = [prism for prism in world.standing_prisms if prism.obstacle >= 0]
+    for one in dynamic_obstacles(world):
+        if one.moves:
+            name = world.obstacles[one.index].name
+            swept = sweeps(one, swing_step=_SPACING)
+            prisms += [Prism(name, one.index, one.base, one.top, floor.vertices, floor.radius) for floor in swept]
     outlines = [_outline(prism) for prism in prisms]
     piece_of = list(range(len(prisms)))
     for i, prism in enumerate(prisms):
@@ -96,17 +106,29 @@ def _pieces(world: World) -> list[_Piece]:
             if piece_of[j] != piece_of[i] and near:
                 old, new = piece_of[j], piece_of[i]
                 piece_of = [new if piece == old else piece for piece in piece_of]
-    return [_Piece([p for p, own in zip(prisms, piece_of, strict=True) if own == piece]) for piece in set(piece_of)]
+    dynamic = {one.index for one in dynamic_obstacles(world)}
+    members = ([p for p, own in zip(prisms, piece_of, strict=True) if own == piece] for piece in set(piece_of))
+    return [_Piece(prisms, dynamic) for prisms in members]
 
 
-def _outline(prism: Prism) -> np.ndarray:
-    """``(K, 2)`` points along the edge of a footprint, metres."""
-    if prism.is_cylinder:
-        angles = np.linspace(0.0, 2.0 * math.pi, max(16, math.ceil(2.0 * math.pi * prism.radius / _SPACING)))
-        return prism.vertices[0] + prism.radius * np.column_stack([np.cos(angles), np.sin(angles)])
-    ends = np.roll(prism.vertices, -1, axis=0)
+def _outline(prism: Prism, outside: bool = False) -> np.ndarray:
+    """``(K, 2)`` points along the edge of a footprint, metres; with ``outside``, none of it lies beyond them."""
+    if prism.is_cylinder and len(prism.vertices) == 1:
+        count = max(16, math.ceil(2.0 * math.pi * prism.radius / _SPACING))
+        angles = np.linspace(0.0, 2.0 * math.pi, count)
+        # Points around what must not reach out of the room lie around it, on the corners of a polygon that holds it.
+        radius = prism.radius / math.cos(math.pi / (count - 1)) if outside else prism.radius
+        return prism.vertices[0] + radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    if prism.is_cylinder:  # the floor that a cylinder sweeps on a straight way
+        ends = [Prism(prism.name, prism.obstacle, 0.0, 1.0, end[None], prism.radius) for end in prism.vertices]
+        along = prism.vertices[1] - prism.vertices[0]
+        aside = prism.radius * np.array([-along[1], along[0]]) / np.linalg.norm(along)
+        steps = np.linspace(0.0, 1.0, max(2, math.ceil(np.linalg.norm(along) / _SPACING)))[:, None]
+        sides = [prism.vertices[0] + steps * along + side for side in (aside, -aside)]
+        return np.concatenate([*(_outline(end, outside) for end in ends), *sides])
+    following = np.roll(prism.vertices, -1, axis=0)
     parts = []
-    for begin, end in zip(prism.vertices, ends, strict=True):
+    for begin, end in zip(prism.vertices, following, strict=True):
         count = max(2, math.ceil(np.linalg.norm(end - begin) / _SPACING))
         parts.append(begin + np.linspace(0.0, 1.0, count, endpoint=False)[:, None] * (end - begin))
     return np.concatenate(parts)
@@ -118,6 +140,11 @@ def _moved(obstacle: dict[str, Any], turn: np.ndarray, offset: np.ndarray, centr
     for key in ("at", "points"):
         if key in moved:
             moved[key] = ((np.asarray(moved[key]) - centre) @ turn.T + offset).tolist()
+    if "motion" in moved:
+        moved["motion"] = dict(moved["motion"])
+        for key in ("path", "hinge"):
+            if key in moved["motion"]:
+                moved["motion"][key] = ((np.asarray(moved["motion"][key]) - centre) @ turn.T + offset).tolist()
     if kind == "box":
         yaw_deg = float(moved.get("yaw_deg", 0.0)) + math.degrees(math.atan2(turn[1, 0], turn[0, 0]))
         moved["yaw_deg"] = math.remainder(yaw_deg, 360.0)

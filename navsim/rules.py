@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from navsim.errors import Problem, key_path
+from navsim.motion_rules import broken_rules_of_motion
 from navsim.planner import CONTACT, FreeSpace, free_space
 from navsim.robot import TURTLEBOT2
 
@@ -31,10 +32,11 @@ _Place = tuple[str, int]
 def broken_rules(world: World) -> list[Problem]:
     """Every geometric rule that ``world`` breaks.
 
-    Everything is inside the room; nothing moves, as yet; starts and goals have clearance; every pair of them is
-    connected; and there is room for those that are drawn at random.
+    Everything is inside the room; what moves stays in it and runs into nothing that stands; what can be pushed stands
+    free; starts and goals have clearance; every pair of them is connected; and there is room for those that are drawn
+    at random.
     """
-    problems = [*_obstacles_outside(world), *_not_supported(world)]
+    problems = [*_obstacles_outside(world), *broken_rules_of_motion(world)]
     space = free_space(world, TURTLEBOT2.radius, TURTLEBOT2.height)
     listed = _listed(world, "starts"), _listed(world, "goals")
     clear: list[dict[_Place, tuple[float, float]]] = []
@@ -60,14 +62,6 @@ def _obstacles_outside(world: World) -> Iterator[Problem]:
         for keys, point in obstacle.points_in_room():
             if not _is_inside(world, point):
                 yield Problem(("obstacles", i, obstacle.kind, *keys), _outside(world, point))
-
-
-def _not_supported(world: World) -> Iterator[Problem]:
-    for i, obstacle in enumerate(world.obstacles):
-        for key, what in (("motion", "moving"), ("pushable", "pushable")):
-            if getattr(obstacle, key) is not None:
-                text = f"{what} obstacles are not supported yet; leave '{key}' out to make this one stand still"
-                yield Problem(("obstacles", i, obstacle.kind, key), text, at_key=True)
 
 
 def _cramped(

@@ -48,13 +48,17 @@ class Transition(NamedTuple):
     collision: np.ndarray
     """``(N,)`` bool, the robot collided, and did not reach the goal in this very step"""
     bumper: np.ndarray
-    """``(N,)`` bool, the bumper touched something during the step, whatever else happened"""
+    """``(N,)`` bool, the bumper hit something that counts as a collision during the step, whatever else happened"""
     too_near: np.ndarray
-    """``(N,)`` bool, a pixel is nearer than the task's ``collision_depth``, whatever else happened"""
+    """``(N,)`` bool, a pixel that counts is nearer than the task's ``collision_depth``, whatever else happened"""
+    pushed: np.ndarray
+    """``(N,)`` bool, the bumper touched something pushable during the step; whether that counts, the task says"""
 
 
 class Simulator:
     """N robots that navigate in one world or many; they do not see or touch each other.
+
+    Each has a copy of its own of whatever moves or can be pushed, as if it were alone in its world.
 
     Every robot draws its episodes from a random generator of its own, so they do not depend on what the others do or
     on how many there are.
@@ -126,7 +130,7 @@ class Simulator:
         self.wheel_errors = np.zeros((num_robots, 2))
         most_latency = self.sensor.latency + self.randomization.latency[1]
         self._sensor = Sensor(self.camera, self.sensor, num_robots, most_latency)
-        self._scene = Scene(self.worlds)
+        self._scene = Scene([world.fixed_prisms for world in self.worlds])
         self._physics = Physics(self.worlds, num_robots, robot, self.task.substep)
         self._episodes: dict[int, Episodes] = {}
         self._start_and_goal = np.full((num_robots, 2), -1)
@@ -137,6 +141,16 @@ class Simulator:
     def poses(self) -> np.ndarray:
         """``(N, 3)`` float64, x, y (metres) and yaw (radians)."""
         return self._physics.poses
+
+    @property
+    def phases(self) -> np.ndarray:
+        """``(N, D)`` where in their periods, from 0 to 1, moving obstacles were when each robot's episode began."""
+        return self._physics.phases
+
+    @property
+    def obstacle_poses(self) -> np.ndarray:
+        """``(N, D, 3)`` x, y, angle of each robot's own obstacles that move or can be pushed: ``navsim.dynamics``."""
+        return self._physics.obstacle_poses
 
     @property
     def world_index(self) -> np.ndarray:
@@ -207,6 +221,9 @@ class Simulator:
         self.ideal_depth = self._look(np.arange(self.num_robots))
         self._sensor.advance(self.ideal_depth)
         too_near = self.ideal_depth.min(axis=(1, 2)) < self.task.collision_depth
+        if not self.task.pushing_is_collision:
+            bumper = self._physics.touched_solid.copy()
+            too_near = self._is_too_near_anyway(too_near)
         success = goal_distance(self.poses, self.goals) < self.task.goal_radius
         collision = (bumper | too_near) & ~success
         terminated = success | collision
@@ -224,6 +241,7 @@ class Simulator:
             collision=collision,
             bumper=bumper,
             too_near=too_near,
+            pushed=self._physics.touched_pushable.copy(),
         )
 
     def state_dict(self) -> dict[str, Any]:
@@ -282,7 +300,7 @@ class Simulator:
         episodes = self._episodes_of(world)
         episode = episodes.draw(generator, path)
         pose = self._randomize(robot, episodes, episode)
-        self._physics.place([robot], world, pose)
+        self._physics.place([robot], world, pose, episode.phases)
         self.goals[robot] = episode.goal
         self.commands[robot] = INITIAL_COMMAND
         self.steps[robot] = 0
@@ -300,7 +318,7 @@ class Simulator:
         self._sensor.noise_level[robot] = drawn.noise_level
         if episode.path.start_index < 0 or not randomization.moves_starts:
             return episode.pose
-        return episodes.displace(episode.pose, episode.goal, lambda: randomization.draw_offset(generator), drawn.mount)
+        return episodes.displace(episode, lambda: randomization.draw_offset(generator), drawn.mount)
 
     def _episodes_of(self, world: int) -> Episodes:
         if world not in self._episodes:
@@ -309,8 +327,24 @@ class Simulator:
 
     def _look(self, robots: np.ndarray) -> np.ndarray:
         """``(K, H, W)`` float32, what the ideal sensors of some robots see, metres."""
-        planar = cast(self._scene, self.world_index[robots], self.poses[robots], self.camera, self.mounts.take(robots))
+        moving = self._physics.moving_prisms(robots)
+        planar = cast(
+            self._scene, self.world_index[robots], self.poses[robots], self.camera, moving, self.mounts.take(robots)
+        )
         return self.camera.from_planar(planar)
+
+    def _is_too_near_anyway(self, too_near: np.ndarray) -> np.ndarray:
+        """``(N,)`` bool: those of ``too_near`` that are as near to something else, as if what is pushed were glass."""
+        robots = np.flatnonzero(too_near)
+        moving = self._physics.moving_prisms(robots, with_pushable=False)
+        if moving is None or not len(robots):
+            return too_near
+        planar = cast(
+            self._scene, self.world_index[robots], self.poses[robots], self.camera, moving, self.mounts.take(robots)
+        )
+        anyway = too_near.copy()
+        anyway[robots] = self.camera.from_planar(planar).min(axis=(1, 2)) < self.task.collision_depth
+        return anyway
 
     def _checked(self, actions: np.ndarray) -> np.ndarray:
         actions = np.asarray(actions)

@@ -12,6 +12,7 @@ import numpy as np
 
 from navsim.camera import DepthCamera, Mounts
 from navsim.connectivity import Chains
+from navsim.dynamics import Dynamics
 from navsim.footprints import Footprints
 from navsim.raycast import Scene, nearest_depth
 from navsim.robot import Robot, wrap_angle
@@ -24,6 +25,7 @@ _YAWS = np.deg2rad(np.arange(-175.0, 181.0, 5.0))  # what an open start yaw is d
 _POINTS, _VIEWS = 32, 8  # random places tried at a time, and how many of them as starts
 _ROUNDS = 400  # times that they are tried before a world is said to have no room
 _OFFSETS = 40  # offsets from a listed start that are tried before it is taken as it is
+_PHASES = 200  # times that the phases of moving obstacles are drawn before a start is said to be never free
 _PATIENCE = 40  # times after which a start need not have the wanted view any more, if only it does not collide
 
 
@@ -34,12 +36,17 @@ class Task:
     An episode ends in success within ``goal_radius`` of the goal, or in a collision: the bumper touches something, or
     a pixel of the ideal depth image is nearer than ``collision_depth``. The goal wins where both happen in one step.
     ``max_steps`` steps without an end truncate it.
+
+    With ``pushing_is_collision`` off, obstacles that can be pushed may be touched, and the depth rule looks through
+    them as if they were glass: it asks how near everything else is. The robot still sees them.
     """
 
     goal_radius: float = 0.5
     """Distance to the goal under which it is reached, metres."""
     collision_depth: float = 0.4
     """Depth under which any pixel counts as a collision, metres; 0 leaves it to the bumper."""
+    pushing_is_collision: bool = True
+    """Whether touching, or seeing too near, an obstacle that can be pushed is a collision as with any other."""
     goal_reward: float = 1.0
     """Reward of the step that reaches the goal."""
     collision_reward: float = -1.0
@@ -70,6 +77,8 @@ class Task:
         for name in ("goal_reward", "collision_reward", "progress_weight", "step_penalty"):
             if not math.isfinite(getattr(self, name)):
                 raise ValueError(f"task {name} must be a finite number; got {getattr(self, name)!r}")
+        if not isinstance(self.pushing_is_collision, bool):
+            raise ValueError(f"task pushing_is_collision must be true or false; got {self.pushing_is_collision!r}")
         if isinstance(self.max_steps, bool) or not isinstance(self.max_steps, int | np.integer) or self.max_steps < 1:
             raise ValueError(f"task max_steps must be a whole number, at least 1; got {self.max_steps!r}")
 
@@ -149,6 +158,8 @@ class Episode(NamedTuple):
     """``(3,)`` x, y (metres), yaw (radians) of the start"""
     goal: np.ndarray
     """``(2,)`` metres"""
+    phases: np.ndarray
+    """``(D,)`` of the world's dynamic obstacles: where in its period each one that moves is; see ``navsim.dynamics``"""
 
 
 class Episodes:
@@ -164,10 +175,14 @@ class Episodes:
     it (or at least ``collision_depth``, in a world where it is hard to find). Starts and goals are further apart than
     ``goal_radius`` and connected.
 
+    Where something moves, its phases are drawn first, and again (with the yaw, or the place) until nothing that moves
+    is nearer to the start than 5 cm or overlaps with what can be pushed, and until the view is as free as it would be
+    without it. Where it never is, the freest start that was drawn counts.
+
     Args:
         world: the world.
         world_index: its index in ``scene``.
-        scene: for the ray-caster.
+        scene: for the ray-caster: what is fixed in the worlds.
         camera: what the depth rule sees with.
         task: the rules.
         robot: who drives.
@@ -177,6 +192,7 @@ class Episodes:
         self, world: World, world_index: int, scene: Scene, camera: DepthCamera, task: Task, robot: Robot
     ) -> None:
         self._world, self._world_index, self._scene = world, world_index, scene
+        self._dynamics = Dynamics([world])
         self._camera, self._task, self._robot = camera, task, robot
         starts = () if isinstance(world.starts, str) else world.starts
         goals = () if isinstance(world.goals, str) else world.goals
@@ -199,6 +215,50 @@ class Episodes:
             start_index, goal_index = self._pairs[generator.integers(len(self._pairs))].tolist()
         else:
             start_index, goal_index = self._checked(path)
+        phases, start, goal = self._begin(generator, start_index, goal_index)
+        return Episode(Path(start_index, goal_index, self._world_index), start, goal, phases)
+
+    def _begin(
+        self, generator: np.random.Generator, start_index: int, goal_index: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Phases ``(D,)``, a start ``(3,)`` and a goal ``(2,)``."""
+        if not self._dynamics.moves.any():
+            return np.zeros(self._dynamics.most), *self._places(generator, start_index, goal_index)
+        freest, best = -math.inf, None
+        for _ in range(_PHASES):
+            phases = self._dynamics.draw_phases(0, generator)
+            start, goal = self._places(generator, start_index, goal_index)
+            if not self._moving_keep_clear(phases, start):
+                continue
+            view = float(self._views(start[None], phases)[0])
+            if view > freest:
+                freest, best = view, (phases, start, goal)
+            if view >= self._wanted_view or view >= self._views(start[None])[0]:
+                break
+        if best is None:
+            where = f"[{start[0]:g}, {start[1]:g}]"
+            raise ValueError(
+                f'world "{self._world.name}" has no free moment for a start at {where}: of {_PHASES} draws, a moving '
+                f"obstacle was there or in something pushable each time; move the start, or the obstacle's path"
+            )
+        return best
+
+    def _moving_keep_clear(self, phases: np.ndarray, start: np.ndarray) -> bool:
+        """Whether nothing that moves is near a start ``(3,)`` or in something pushable when the episode begins."""
+        dynamics, row = self._dynamics, np.zeros(1, dtype=np.intp)
+        poses = dynamics.poses(row, phases[None], np.zeros(1))[0]
+        points = np.vstack([start[:2], poses[:, :2]])
+        tops = np.append(self._robot.height, dynamics.top[0])
+        needed = np.append(self._robot.radius + START_CLEARANCE, dynamics.reach[0])
+        may_meet = dynamics.moves[0][:, None] & np.append(True, dynamics.is_pushable[0])
+        slot, point = np.nonzero(may_meet & (dynamics.base[0][:, None] < tops))
+        distance = dynamics.distances(row.repeat(len(slot)), slot, poses[slot], points[point])
+        return bool((distance >= needed[point]).all())
+
+    def _places(
+        self, generator: np.random.Generator, start_index: int, goal_index: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """A start ``(3,)`` and a goal ``(2,)``, as if nothing moved."""
         start = goal = None
         if start_index >= 0:
             yaws, _ = self._yaws[start_index]
@@ -207,26 +267,25 @@ class Episodes:
             goal = self._goals[goal_index]
         if start is None or goal is None:
             start, goal = self._random_places(generator, start, goal)
-        return Episode(Path(start_index, goal_index, self._world_index), start, goal)
+        return start, goal
 
     def displace(
         self,
-        pose: np.ndarray,
-        goal: np.ndarray,
+        episode: Episode,
         draw_offset: Callable[[], np.ndarray],
         mount: tuple[float, float, float, float],
     ) -> np.ndarray:
         """A start near a listed one, at which the robot has the clearance, the way and the view that a start needs.
 
         Args:
-            pose: ``(3,)`` x, y (metres), yaw (radians) of the listed start.
-            goal: ``(2,)`` metres.
+            episode: how the episode begins at the listed start.
             draw_offset: draws what to add to the pose, ``(3,)``.
             mount: how the robot carries its camera, as in ``Mounts``.
 
         Returns:
             ``(3,)``, the first of some drawn poses that will do; the listed one where none does.
         """
+        pose, goal, phases = episode.pose, episode.goal, episode.phases
         mounts = Mounts(*(np.array([value]) for value in mount))
         for _ in range(_OFFSETS):
             moved = pose + draw_offset()
@@ -238,7 +297,9 @@ class Episodes:
             start_region, goal_region = self._chains.regions(np.stack([moved[:2], goal]))
             if start_region != goal_region:
                 continue
-            if self._views(moved[None], mounts)[0] >= self._task.collision_depth:
+            if self._dynamics.moves.any() and not self._moving_keep_clear(phases, moved):
+                continue
+            if self._views(moved[None], phases, mounts)[0] >= self._task.collision_depth:
                 return np.array([*moved[:2], wrap_angle(moved[2])])
         return pose
 
@@ -254,10 +315,19 @@ class Episodes:
     def _wanted_view(self) -> float:
         return max(self._task.start_view, self._task.collision_depth)
 
-    def _views(self, poses: np.ndarray, mounts: Mounts | None = None) -> np.ndarray:
-        """``(K,)`` float32: least depth of anything but the floor, metres, at most ``_wanted_view``."""
+    def _views(self, poses: np.ndarray, phases: np.ndarray | None = None, mounts: Mounts | None = None) -> np.ndarray:
+        """``(K,)`` float32: least depth of anything but the floor, metres, at most ``_wanted_view``.
+
+        What can be pushed is where the file puts it; what moves is left out, unless its phases ``(D,)`` are given.
+        """
         world_index = np.full(len(poses), self._world_index)
-        return nearest_depth(self._scene, world_index, poses, self._camera, self._wanted_view, mounts)
+        moving, dynamics = None, self._dynamics
+        if dynamics.most:
+            row = np.zeros((len(poses), dynamics.most)) if phases is None else np.tile(phases, (len(poses), 1))
+            own = np.zeros(len(poses), dtype=np.intp)
+            obstacles = dynamics.poses(own, row, np.zeros(len(poses)))
+            moving = dynamics.prisms(own, obstacles, dynamics.is_pushable if phases is None else None)
+        return nearest_depth(self._scene, world_index, poses, self._camera, self._wanted_view, moving, mounts)
 
     @cached_property
     def _yaws(self) -> list[tuple[np.ndarray, float]]:
@@ -328,7 +398,9 @@ class Episodes:
     @cached_property
     def _footprints(self) -> Footprints:
         """What stands in the robot's way."""
-        return Footprints.of([prism for prism in self._world.prisms if prism.overlaps_heights(0.0, self._robot.height)])
+        return Footprints.of(
+            [prism for prism in self._world.standing_prisms if prism.overlaps_heights(0.0, self._robot.height)]
+        )
 
     @cached_property
     def _chains(self) -> Chains:

@@ -24,22 +24,37 @@ def expand(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 class Prisms(Protocol):
     """Prisms packed into arrays: P of them, with V vertices in all."""
 
-    base: np.ndarray
-    """``(P,)`` metres above the floor"""
-    top: np.ndarray
-    """``(P,)`` metres above the floor"""
-    radius: np.ndarray
-    """``(P,)`` metres; 0 for polygons"""
-    centre: np.ndarray
-    """``(P, 2)`` metres, the middle of the footprint's bounds"""
-    bounding_radius: np.ndarray
-    """``(P,)`` metres from there"""
-    vertices: np.ndarray
-    """``(V, 2)`` metres"""
-    first_vertex: np.ndarray
-    """``(P,)`` or more, intp"""
-    vertex_count: np.ndarray
-    """``(P,)`` intp"""
+    @property
+    def base(self) -> np.ndarray:
+        """``(P,)`` metres above the floor"""
+
+    @property
+    def top(self) -> np.ndarray:
+        """``(P,)`` metres above the floor"""
+
+    @property
+    def radius(self) -> np.ndarray:
+        """``(P,)`` metres; 0 for polygons"""
+
+    @property
+    def centre(self) -> np.ndarray:
+        """``(P, 2)`` metres, the middle of the footprint"""
+
+    @property
+    def bounding_radius(self) -> np.ndarray:
+        """``(P,)`` metres from there"""
+
+    @property
+    def vertices(self) -> np.ndarray:
+        """``(V, 2)`` metres"""
+
+    @property
+    def first_vertex(self) -> np.ndarray:
+        """``(P,)`` or more, intp"""
+
+    @property
+    def vertex_count(self) -> np.ndarray:
+        """``(P,)`` intp"""
 
 
 class Frames(NamedTuple):

@@ -7,6 +7,7 @@ right on a plan, y up, z away from the floor.
 from __future__ import annotations
 
 import difflib
+import itertools
 import math
 import reprlib
 from collections.abc import Iterable, Mapping
@@ -28,6 +29,7 @@ from pydantic import (
 from typing_extensions import Self
 
 from navsim.errors import Problem, WorldError
+from navsim.motion_rules import FASTEST
 from navsim.polygon import convex_pieces, crossing_edges, signed_area
 from navsim.prism import Prism
 from navsim.rules import broken_rules
@@ -44,6 +46,9 @@ Coordinate = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-LARGES
 Elevation = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=LARGEST_LENGTH)]
 Degrees = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-360.0, le=360.0)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=1e6)]
+Speed = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=FASTEST)]
+TurningSpeed = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=720.0)]
+Friction = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=10.0)]
 Point = tuple[Coordinate, Coordinate]
 Name = Annotated[str, Field(strict=True)]
 
@@ -62,14 +67,69 @@ class Walls(_Settings):
 
 
 class Motion(_Settings):
-    """How an obstacle moves: along straight lines from point to point, at a constant speed."""
+    """How an obstacle moves: along straight lines from point to point, at a constant speed, without turning."""
 
     path: Annotated[tuple[Point, ...], Field(min_length=2)]
-    """Corners of the way, metres."""
-    speed: Positive
+    """Corners of the way, metres; the obstacle stands at the first of them where the file puts it."""
+    speed: Speed
     """Metres per second."""
     repeat: Literal["there-and-back", "circuit"] = "there-and-back"
     """What follows the last point: the same way back, or straight on to the first point."""
+
+    @field_validator("path")
+    @classmethod
+    def _leads_somewhere(cls, path: tuple[Point, ...]) -> tuple[Point, ...]:
+        for i, (a, b) in enumerate(itertools.pairwise(path)):
+            if math.dist(a, b) < SMALLEST_LENGTH:
+                raise ValueError(f"points {i + 1} and {i + 2} are the same; leave one of them out")
+        return path
+
+    @property
+    def rate(self) -> float:
+        """Metres of the way per second."""
+        return self.speed
+
+    @property
+    def is_circuit(self) -> bool:
+        """Whether it goes round and round, not there and back."""
+        return self.repeat == "circuit"
+
+    def knots(self) -> np.ndarray:
+        """``(C, 3)`` what it moves along, line by line: x, y (metres) and angle (radians); a circuit's ends meet."""
+        points = np.array([*self.path, self.path[0]] if self.is_circuit else self.path)
+        return np.column_stack([points, np.zeros(len(points))])
+
+
+class Swing(_Settings):
+    """How an obstacle swings about a hinge, as a door does: from one angle to another and back, at a constant speed."""
+
+    hinge: Point
+    """What it turns about, metres."""
+    swing_deg: tuple[Degrees, Degrees]
+    """The two angles between which it swings, degrees, counter-clockwise from where the file puts it."""
+    speed_deg: TurningSpeed
+    """Degrees per second."""
+
+    @field_validator("swing_deg")
+    @classmethod
+    def _turns(cls, swing_deg: tuple[float, float]) -> tuple[float, float]:
+        if swing_deg[0] == swing_deg[1]:
+            raise ValueError("both angles are the same; give two, such as [0, 90], or leave 'motion' out")
+        return swing_deg
+
+    @property
+    def rate(self) -> float:
+        """Radians per second."""
+        return math.radians(self.speed_deg)
+
+    @property
+    def is_circuit(self) -> bool:
+        """A swing always goes there and back."""
+        return False
+
+    def knots(self) -> np.ndarray:
+        """``(2, 3)`` the poses between which it turns: the hinge's x and y (metres), and an angle (radians)."""
+        return np.array([(*self.hinge, math.radians(angle)) for angle in self.swing_deg])
 
 
 class Pushable(_Settings):
@@ -77,6 +137,19 @@ class Pushable(_Settings):
 
     mass: Positive
     """Kilograms."""
+    friction: Friction = 0.4
+    """Coefficient of friction with the floor: sliding, it slows down by ``friction`` times 9.81 m/s²."""
+
+
+def _motion_kind(value: object) -> str:
+    keys = value if isinstance(value, Mapping) else type(value).model_fields if isinstance(value, BaseModel) else ()
+    return "a swing" if {"hinge", "swing_deg", "speed_deg"} & set(keys) else "a way"
+
+
+_AnyMotion = Annotated[
+    Annotated[Motion, Tag("a way")] | Annotated[Swing, Tag("a swing")],
+    Discriminator(_motion_kind),
+]
 
 
 class _Obstacle(_Settings):
@@ -88,8 +161,10 @@ class _Obstacle(_Settings):
     """Height of the under side above the floor, metres."""
     height: Length
     """Extent above ``base``, metres."""
-    motion: Motion | None = None
+    motion: _AnyMotion | None = None
+    """Moves it, whatever stands in its way; None: it stands still."""
     pushable: Pushable | None = None
+    """Lets it slide when it is pushed; None: nothing moves it."""
 
     @property
     def top(self) -> float:
@@ -367,6 +442,22 @@ class World(_Settings):
                 prisms.append(Prism(obstacle.name, i, obstacle.base, obstacle.top, vertices, radius))
         return tuple(prisms)
 
+    @cached_property
+    def fixed_prisms(self) -> tuple[Prism, ...]:
+        """Those of ``prisms`` that neither move nor can be pushed."""
+        return tuple(prism for prism in self.prisms if not self._can_move(prism, with_pushable=True))
+
+    @cached_property
+    def standing_prisms(self) -> tuple[Prism, ...]:
+        """Those of ``prisms`` that do not move by themselves; pushable ones stand where the file puts them."""
+        return tuple(prism for prism in self.prisms if not self._can_move(prism, with_pushable=False))
+
+    def _can_move(self, prism: Prism, with_pushable: bool) -> bool:
+        if prism.obstacle < 0:
+            return False
+        obstacle = self.obstacles[prism.obstacle]
+        return obstacle.motion is not None or (with_pushable and obstacle.pushable is not None)
+
     def _wall_prisms(self) -> Iterable[Prism]:
         if self.walls is None:
             return
@@ -513,6 +604,9 @@ _EXAMPLES = {
     "points": "[[0, 0], [1, 0], [0.4, 0.8]]",
     "path": "[[2, 2], [2, -2]]",
     "speed": "0.5",
+    "hinge": "[1.0, 0.0]",
+    "swing_deg": "[0, 90]",
+    "speed_deg": "45",
     "mass": "0.35",
     "obstacles": "'- box: {at: [1.0, -0.5], size: [0.6, 0.4], height: 0.8}'",
     "box": "{at: [1.0, -0.5], size: [0.6, 0.4], height: 0.8}",
@@ -520,8 +614,9 @@ _EXAMPLES = {
     "polygon": "{points: [[0, 0], [1, 0], [0.4, 0.8]], height: 1.0}",
     "starts": "{at: [0.0, 0.0], yaw_deg: 90} or [0.0, 0.0]",
     "goals": "[2.0, -2.5]",
-    "motion": "{path: [[2, 2], [2, -2]], speed: 0.5}",
+    "motion": "{path: [[2, 2], [2, -2]], speed: 0.5} or {hinge: [1, 0], swing_deg: [0, 90], speed_deg: 45}",
     "pushable": "{mass: 0.35}",
+    "friction": "0.4",
 }
 """What may stand after a key, for the remedies of error messages."""
 
@@ -533,7 +628,7 @@ def _worded(details: Iterable[Mapping[str, Any]], data: object) -> list[Problem]
         (*where[:-1], meant)
         for where, detail in located
         if detail["type"] == "extra_forbidden"
-        for meant in _nearest(where[-1], _known_keys(where[:-1]))
+        for meant in _nearest(where[-1], _known_keys(where[:-1], detail["loc"]))
     }
     return [
         _word(where, detail)
@@ -552,7 +647,7 @@ def _word(where: tuple[str | int, ...], detail: Mapping[str, Any]) -> Problem:
             return Problem(where, f"must be two numbers, not {_shown(value)}")
         return Problem(where, f"key '{key}' is missing; add '{key}: {_EXAMPLES[key]}'")
     if kind == "extra_forbidden":
-        known = _known_keys(where[:-1])
+        known = _known_keys(where[:-1], detail["loc"])
         meant = _nearest(where[-1], known)
         remedy = f"did you mean '{meant[0]}'?" if meant else f"the keys here are {', '.join(known)}"
         return Problem(where, f"is not a known key; {remedy}", at_key=True)
@@ -621,8 +716,8 @@ def _path_in(data: object, location: tuple[str | int, ...]) -> tuple[str | int, 
     return tuple(where)
 
 
-def _known_keys(where: tuple[str | int, ...]) -> list[str]:
-    """The keys of the mapping at ``where``."""
+def _known_keys(where: tuple[str | int, ...], location: tuple[str | int, ...] = ()) -> list[str]:
+    """The keys of the mapping at ``where``; pydantic's ``location`` tells one kind of motion from the other."""
     models: dict[str, type[BaseModel]] = {
         "box": Box,
         "cylinder": Cylinder,
@@ -630,7 +725,7 @@ def _known_keys(where: tuple[str | int, ...]) -> list[str]:
         "walls": Walls,
         "starts": Start,
         "goals": Goal,
-        "motion": Motion,
+        "motion": Swing if "a swing" in location else Motion,
         "pushable": Pushable,
     }
     name = next((part for part in reversed(where) if isinstance(part, str)), "")

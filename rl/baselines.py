@@ -220,12 +220,22 @@ class OraclePolicy:
     name = "oracle"
 
     def plan(
-        self, world: World, starts: np.ndarray, goals: np.ndarray, camera: DepthCamera, task: Task, robot: Robot
+        self,
+        world: World,
+        starts: np.ndarray,
+        goals: np.ndarray,
+        camera: DepthCamera,
+        task: Task,
+        robot: Robot,
+        phases: np.ndarray,
     ) -> Iterator[np.ndarray | None]:
-        """For each start pose ``(P, 3)`` and goal ``(P, 2)`` the actions, ``(K,)``, or None where it found no way."""
+        """For each start pose ``(P, 3)`` and goal ``(P, 2)`` the actions, ``(K,)``, or None where it found no way.
+
+        It also knows where what moves will be, from ``phases`` ``(P, D)``.
+        """
         oracle = Oracle(world, camera, task, robot)
-        for start, goal in zip(starts, goals, strict=True):
-            yield oracle.plan(start, goal)
+        for start, goal, own in zip(starts, goals, phases, strict=True):
+            yield oracle.plan(start, goal, own)
 
 
 Baseline = RandomPolicy | StraightPolicy | ReactivePolicy | OraclePolicy

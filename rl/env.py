@@ -39,6 +39,8 @@ class NavEnv(EnvBase):
     ``done``, ``terminated``,       bool ``(N, 1)``             ``truncated``: the time limit; ``terminated``: the goal
     ``truncated``                                               or a collision
     ``success``, ``collision``      bool ``(N, 1)``             why it ended
+    ``bumper``, ``too_near``        bool ``(N, 1)``             what collided in this step: the bumper hit something, a
+                                                                pixel is nearer than the task's ``collision_depth``
     ``pose``                        float32 ``(N, 3)``          x, y (m), yaw (rad): for analysis, not for policies
     ==============================  ==========================  ====================================================
 
@@ -106,6 +108,8 @@ class NavEnv(EnvBase):
             pose=Unbounded(shape=(n, 3), dtype=torch.float32),
             success=flag.clone(),
             collision=flag.clone(),
+            bumper=flag.clone(),
+            too_near=flag.clone(),
             shape=(n,),
         ).to(self.device)
         self.action_spec = Categorical(NUM_ACTIONS, shape=(n,), dtype=torch.int64).to(self.device)
@@ -131,6 +135,8 @@ class NavEnv(EnvBase):
             observation,
             success=false,
             collision=false.clone(),
+            bumper=false.clone(),
+            too_near=false.clone(),
             done=false.clone(),
             terminated=false.clone(),
             truncated=false.clone(),
@@ -145,6 +151,8 @@ class NavEnv(EnvBase):
             reward=_column(moved.reward),
             success=_column(moved.success),
             collision=_column(moved.collision),
+            bumper=_column(moved.bumper),
+            too_near=_column(moved.too_near),
             done=terminated | truncated,
             terminated=terminated,
             truncated=truncated,

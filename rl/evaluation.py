@@ -23,9 +23,11 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from navsim.camera import DepthCamera
+from navsim.dynamics import dynamic_obstacles
+from navsim.physics import obstacle_poses_along
 from navsim.planner import shortest_path_length
 from navsim.randomization import Randomization
-from navsim.robot import ACTIONS, NUM_ACTIONS, TURTLEBOT2, Action, Robot
+from navsim.robot import ACTIONS, INITIAL_COMMAND, NUM_ACTIONS, TURTLEBOT2, Action, Robot, apply_actions
 from navsim.sensor import SensorModel
 from navsim.simulator import Observation, Simulator, Transition
 from navsim.task import Path, Task
@@ -48,9 +50,19 @@ class Planner(Protocol):
     """A policy that knows the map: it plans whole paths, which are then driven without looking."""
 
     def plan(
-        self, world: World, starts: np.ndarray, goals: np.ndarray, camera: DepthCamera, task: Task, robot: Robot
+        self,
+        world: World,
+        starts: np.ndarray,
+        goals: np.ndarray,
+        camera: DepthCamera,
+        task: Task,
+        robot: Robot,
+        phases: np.ndarray,
     ) -> Iterable[np.ndarray | None]:
-        """For each start pose ``(P, 3)`` and goal ``(P, 2)``, ``(K,)`` actions, or None where no way was found."""
+        """For each start pose ``(P, 3)`` and goal ``(P, 2)``, ``(K,)`` actions, or None where no way was found.
+
+        ``phases`` ``(P, D)`` tell where the moving obstacles are in their periods when each episode begins.
+        """
         ...
 
 
@@ -77,6 +89,12 @@ class PathResult:
     """``(K + 1, 3)`` x, y (metres), yaw (radians): at the start and after each of the K steps."""
     actions: np.ndarray
     """``(K,)`` int64."""
+    bumper: bool = False
+    """Of a collision: whether the bumper hit something."""
+    too_near: bool = False
+    """Of a collision: whether something was seen nearer than the task's ``collision_depth``."""
+    phases: tuple[float, ...] = ()
+    """Where in their periods, from 0 to 1, the world's moving obstacles were at the start."""
 
     @property
     def steps(self) -> int:
@@ -87,6 +105,20 @@ class PathResult:
     def path_length(self) -> float:
         """Metres driven."""
         return float(np.linalg.norm(np.diff(self.trajectory[:, :2], axis=0), axis=1).sum())
+
+    def obstacle_poses(self, world: World, task: Task, robot: Robot = TURTLEBOT2) -> np.ndarray | None:
+        """``(K + 1, D, 3)`` where what moves or can be pushed was all along; None in a world where nothing does.
+
+        See ``navsim.physics.obstacle_poses_along``; what was pushed ends where it did up to the rounding of files.
+        """
+        if not dynamic_obstacles(world):
+            return None
+        command, commands = np.array([INITIAL_COMMAND]), []
+        for action in self.actions:
+            command = apply_actions(command, np.array([action]))
+            commands.append(command[0])
+        start, period = self.trajectory[0], task.control_period
+        return obstacle_poses_along(world, start, self.phases, np.array(commands), period, robot, task.substep)
 
     @property
     def spl(self) -> float:
@@ -103,10 +135,13 @@ class PathResult:
             "goal_index": self.goal_index,
             "goal": list(self.goal),
             "outcome": self.outcome,
+            "bumper": self.bumper,
+            "too_near": self.too_near,
             "steps": self.steps,
             "reward": self.reward,
             "path_length": self.path_length,
             "shortest_path_length": self.shortest_path_length,
+            "phases": list(self.phases),
             "actions": self.actions.tolist(),
             "trajectory": np.round(self.trajectory, 4).tolist(),
         }
@@ -119,6 +154,9 @@ class PathResult:
             goal_index=values["goal_index"],
             goal=tuple(values["goal"]),
             outcome=values["outcome"],
+            bumper=values.get("bumper", False),  # files of earlier versions do not say
+            too_near=values.get("too_near", False),
+            phases=tuple(values.get("phases", ())),
             reward=values["reward"],
             shortest_path_length=values["shortest_path_length"],
             trajectory=np.array(values["trajectory"], dtype=np.float64).reshape(-1, 3),
@@ -162,6 +200,16 @@ class Evaluation:
         return self.rate("collision")
 
     @property
+    def bumper_rate(self) -> float:
+        """Share of the paths that ended in a collision in which the bumper hit something."""
+        return sum(path.bumper for path in self.paths) / len(self.paths)
+
+    @property
+    def too_near_rate(self) -> float:
+        """Share of the paths that ended in a collision by the depth rule; both may happen in one step."""
+        return sum(path.too_near for path in self.paths) / len(self.paths)
+
+    @property
     def timeout_rate(self) -> float:
         """Share of the paths that ran into the time limit."""
         return self.rate("timeout")
@@ -194,6 +242,8 @@ class Evaluation:
             summary[f"{outcome}_rate"] = self.rate(outcome)
             summary[f"{outcome}_interval"] = list(self.interval(outcome))
         summary |= {
+            "bumper_rate": self.bumper_rate,
+            "too_near_rate": self.too_near_rate,
             "spl": self.spl,
             "mean_steps": self.mean_steps,
             "mean_reward": self.mean_reward,
@@ -329,13 +379,13 @@ def evaluate(
         seed=seed,
     )
     observation = simulator.reset(paths=paths)
-    starts, goals = simulator.poses.copy(), simulator.goals.copy()
+    starts, goals, phases = simulator.poses.copy(), simulator.goals.copy(), simulator.phases.copy()
     state = _first_state(observation)
     driven = np.ones(len(paths), dtype=bool)
     with _progress(console, world.name, len(paths)) as advance:
         if isinstance(policy, Planner):
             plans = []
-            for plan in policy.plan(world, starts, goals, simulator.camera, simulator.task, robot):
+            for plan in policy.plan(world, starts, goals, simulator.camera, simulator.task, robot, phases):
                 plans.append(plan)
                 advance(1)
             driven = np.array([plan is not None for plan in plans])
@@ -355,8 +405,11 @@ def evaluate(
             shortest_path_length=_shortest(world, _point(start), _point(goal), simulator.task, robot),
             trajectory=np.array([start, *episode.poses]),
             actions=np.array(episode.actions, dtype=np.int64),
+            bumper=episode.bumper,
+            too_near=episode.too_near,
+            phases=tuple(own.tolist()),
         )
-        for path, start, goal, episode in zip(paths, starts, goals, episodes, strict=True)
+        for path, start, goal, own, episode in zip(paths, starts, goals, phases, episodes, strict=True)
     )
     policy_name = name or getattr(policy, "name", "") or type(policy).__name__
     return Evaluation(policy=policy_name, world=world.name, seed=seed, paths=tuple(results))
@@ -395,6 +448,8 @@ def _first_state(observation: Observation) -> TensorDict:
 @dataclass
 class _Episode:
     outcome: Outcome = "timeout"
+    bumper: bool = False
+    too_near: bool = False
     reward: float = 0.0
     poses: list[np.ndarray] = field(default_factory=list)
     actions: list[int] = field(default_factory=list)
@@ -425,6 +480,9 @@ def _drive(
                 episode.reward += float(moved.reward[robot])
                 if ended[robot]:
                     episode.outcome = _outcome(moved, robot)
+                    collided = episode.outcome == "collision"
+                    episode.bumper = collided and bool(moved.bumper[robot])
+                    episode.too_near = collided and bool(moved.too_near[robot])
             state = _next_state(state, moved)
             if ended.any():
                 running = running[~ended]
@@ -531,6 +589,8 @@ def _progress(console: Console | None, label: str, total: int) -> Iterator[Calla
 def comparison_table(evaluations: Sequence[Evaluation], *, title: str | None = None) -> Table:
     """A table for the screen, one row an evaluation: rates in percent with their 95% intervals.
 
+    Beside the collisions stand the shares in which the bumper hit something and in which the depth rule was broken.
+
     Args:
         evaluations: of one policy in one world each.
         title: over the table; by default the worlds' names.
@@ -539,14 +599,14 @@ def comparison_table(evaluations: Sequence[Evaluation], *, title: str | None = N
     # Without vertical lines it fits a terminal of 80 columns.
     table = Table(
         title=title or ", ".join(worlds),
-        caption="in brackets: Wilson's 95% intervals",
+        caption="in brackets: Wilson's 95% intervals; bump/near: collisions by the bumper / by the depth rule, %",
         box=SIMPLE_HEAD,
         padding=(0, 0, 0, 1),
     )
     table.add_column("policy", style="bold", no_wrap=True)
     if len(worlds) > 1:
         table.add_column("world")
-    for heading in ("paths", "success %", "collision %", "timeout %", "SPL", "steps", "reward"):
+    for heading in ("paths", "success %", "collision %", "bump/near", "timeout %", "SPL", "steps", "reward"):
         table.add_column(heading, justify="right", no_wrap=True)
     for evaluation in evaluations:
         rates = []
@@ -557,7 +617,9 @@ def comparison_table(evaluations: Sequence[Evaluation], *, title: str | None = N
             evaluation.policy,
             *([evaluation.world] if len(worlds) > 1 else []),
             str(len(evaluation.paths)),
-            *rates,
+            *rates[:2],
+            f"{100 * evaluation.bumper_rate:.0f}/{100 * evaluation.too_near_rate:.0f}",
+            *rates[2:],
             f"{evaluation.spl:.2f}",
             f"{evaluation.mean_steps:.0f}",
             f"{evaluation.mean_reward:+.2f}",

@@ -158,6 +158,7 @@ def _animation(run: Run, config: TrainConfig, world: World, policy: Evaluation) 
         shown.goal,
         actions=shown.actions,
         outcome=shown.outcome,
+        obstacle_poses=shown.obstacle_poses(world, config.task, config.robot),
         camera=config.camera,
         task=config.task,
         robot=config.robot,
@@ -239,18 +240,24 @@ def _telling_moments(world: World, path: PathResult, config: TrainConfig) -> lis
     """The steps of a drive where the way ahead was freest and where it was most obstructed."""
     last = max(0, path.steps - 1)
     first = min(NUM_FRAMES - 1, last)
-    poses = path.trajectory[first : last + 1]
-    images = config.camera.from_planar(render_depth(world, poses, config.camera))
+    images = _ideal_images(config, world, path, np.arange(first, last + 1))
     middle = slice(config.camera.width // 3, -(config.camera.width // 3) or None)
     view = obstacle_depth(images, config.camera)[:, middle].mean(axis=1)
     return [("Free way", first + int(view.argmax())), ("Something ahead", first + int(view.argmin()))]
 
 
+def _ideal_images(config: TrainConfig, world: World, path: PathResult, steps: np.ndarray) -> np.ndarray:
+    """``(K, H, W)`` what the ideal sensor saw before some steps ``(K,)`` of a drive, metres."""
+    obstacles = path.obstacle_poses(world, config.task, config.robot)
+    seen = None if obstacles is None else obstacles[steps]
+    return config.camera.from_planar(render_depth(world, path.trajectory[steps], config.camera, seen))
+
+
 def _depth_stack(actor: QValueActor, config: TrainConfig, world: World, path: PathResult, step: int) -> Figure:
-    poses = path.trajectory[np.maximum(np.arange(step - NUM_FRAMES + 1, step + 1), 0)]
     camera = config.camera
-    stack = camera.to_uint8(camera.from_planar(render_depth(world, poses, camera)))
-    angle = float(heading(poses[-1], np.array(path.goal)))
+    steps = np.maximum(np.arange(step - NUM_FRAMES + 1, step + 1), 0)
+    stack = camera.to_uint8(_ideal_images(config, world, path, steps))
+    angle = float(heading(path.trajectory[step], np.array(path.goal)))
     observation = TensorDict(
         {"depth": torch.from_numpy(stack)[None], "heading": torch.tensor([[angle]], dtype=torch.float32)},
         batch_size=[1],

@@ -285,19 +285,6 @@ def test_a_misspelt_required_key_is_not_reported_as_missing_too():
     assert problems_of({"format": 1, "seize": [8, 6]}) == ["seize: is not a known key; did you mean 'size'?"]
 
 
-@pytest.mark.parametrize(
-    ("settings", "key"),
-    [
-        ({"motion": {"path": [[-1, 1], [1, 1]], "speed": 0.5}}, "motion"),
-        ({"pushable": {"mass": 0.35}}, "pushable"),
-    ],
-)
-def test_moving_and_pushable_obstacles_are_not_supported_yet(settings, key):
-    (problem,) = problems_of({"format": 1, "size": [8, 6], "obstacles": [box(), cylinder(**settings)]})
-    assert problem.startswith(f"obstacles[1].cylinder.{key}: ")
-    assert "not supported yet" in problem
-
-
 anything = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=4) | st.just("random"),
     lambda inner: (
@@ -312,7 +299,14 @@ FULL = {
     "name": "full",
     "size": [8.0, 6.0],
     "walls": {"height": 1.0},
-    "obstacles": [box(), cylinder(), polygon(L_POINTS)],
+    "obstacles": [
+        box(),
+        cylinder(),
+        polygon(L_POINTS),
+        cylinder(at=[3, 1], motion={"path": [[3, 1], [3, -0.5]], "speed": 0.5}),
+        cylinder(at=[-3, 0.5], motion={"hinge": [-3, 0.4], "swing_deg": [0, 90], "speed_deg": 30}),
+        cylinder(at=[2, -2], radius=0.1, pushable={"mass": 0.35, "friction": 0.3}),
+    ],
     "starts": [{"at": [-3, 2], "yaw_deg": 0}, [-3, -2]],
     "goals": [[3, -2]],
 }

@@ -358,16 +358,6 @@ goals: some
     ]
 
 
-@pytest.mark.parametrize(
-    ("setting", "value"), [("motion", "{path: [[2, 2], [2, -2]], speed: 0.5}"), ("pushable", "{mass: 0.35}")]
-)
-def test_moving_and_pushable_obstacles_are_not_supported_yet(setting, value):
-    problem = problem_of(of_a_box(**{setting: value}))
-    assert problem.startswith("room.yaml:8:")
-    assert f"obstacles[0].box.{setting}: " in problem
-    assert "not supported yet" in problem
-
-
 def test_a_mistake_in_the_motion_of_an_obstacle_is_told_all_the_same():
     (problem, *_) = problems_of(of_a_box(motion="{path: [[2, 2]], speed: 0.5}"))
     assert "obstacles[0].box.motion" in problem

@@ -28,9 +28,9 @@ def act(env: NavEnv, state, actions):
     return env.step(state)
 
 
-@pytest.mark.parametrize("num_envs", [1, 5])
-def test_specs_hold(num_envs):
-    env = NavEnv("complex_train", num_envs, camera=CAMERA, seed=0)
+@pytest.mark.parametrize(("world", "num_envs"), [("complex_train", 1), ("complex_train", 5), ("crowded", 3)])
+def test_specs_hold(world, num_envs):
+    env = NavEnv(world, num_envs, camera=CAMERA, seed=0)
     check_env_specs(env, seed=0)
     assert env.batch_size == (num_envs,)
     assert env.observation_spec["depth"].shape == (num_envs, NUM_FRAMES, 12, 20)
@@ -73,12 +73,25 @@ def test_a_step_brings_what_the_simulator_brings():
         np.testing.assert_array_equal(state["depth"], frames[-1])
         np.testing.assert_array_equal(state["heading"][:, 0], moved.heading)
         np.testing.assert_array_equal(state["pose"], moved.pose)
-        for key in ("reward", "terminated", "truncated", "success", "collision"):
+        for key in ("reward", "terminated", "truncated", "success", "collision", "bumper", "too_near"):
             np.testing.assert_array_equal(state[key][:, 0], getattr(moved, key))
         done = moved.terminated | moved.truncated
         np.testing.assert_array_equal(state["done"][:, 0], done)
         if done.any():
             break
+
+
+@pytest.mark.parametrize(("collision_depth", "bumper"), [(0.4, False), (0.0, True)])
+def test_the_bumper_and_the_depth_rule_are_told_apart(collision_depth, bumper):
+    world = CORRIDOR.model_copy(update={"goals": (CORRIDOR.goals[0].model_copy(update={"at": (3.0, 1.5)}),)})
+    env = NavEnv(world, 1, camera=CAMERA, task=Task(collision_depth=collision_depth), seed=0)
+    state = env.reset()
+    assert not (state["bumper"] | state["too_near"]).any()
+    while not state["done"].any():
+        state = act(env, state, [1])["next"]
+        assert state["bumper"].shape == state["too_near"].shape == (1, 1)
+    assert state["collision"].item()
+    assert (state["bumper"].item(), state["too_near"].item()) == (bumper, not bumper)
 
 
 def test_only_the_robots_named_in_reset_begin_anew():
