@@ -73,7 +73,7 @@ def benchmark_pitch(
     def rendering(name: str) -> Callable[[], None]:
         def render() -> None:
             for batch in poses:
-                cast(scene, index, batch, camera, mounts[name])
+                cast(scene, index, batch, camera, mounts=mounts[name])
 
         return render
 

@@ -189,6 +189,7 @@ def cast(
     world_index: np.ndarray,
     poses: np.ndarray,
     camera: DepthCamera,
+    *,
     mounts: Mounts | None = None,
     moving: MovingPrisms | None = None,
 ) -> np.ndarray:
@@ -224,6 +225,7 @@ def nearest_depth(
     poses: np.ndarray,
     camera: DepthCamera,
     within: float = 0.5,
+    *,
     mounts: Mounts | None = None,
     moving: MovingPrisms | None = None,
 ) -> np.ndarray:

@@ -340,7 +340,9 @@ class Simulator:
 
     def _images(self, robots: np.ndarray, moving: MovingPrisms | None) -> np.ndarray:
         mounts = self.mounts.take(robots)
-        planar = cast(self._scene, self.world_index[robots], self.poses[robots], self.camera, mounts, moving)
+        planar = cast(
+            self._scene, self.world_index[robots], self.poses[robots], self.camera, mounts=mounts, moving=moving
+        )
         return self.camera.from_planar(planar)
 
     def _is_too_near_anyway(self, too_near: np.ndarray) -> np.ndarray:

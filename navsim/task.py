@@ -334,7 +334,9 @@ class Episodes:
             own = np.zeros(len(poses), dtype=np.intp)
             obstacles = dynamics.poses(own, row, np.zeros(len(poses)))
             moving = dynamics.prisms(own, obstacles, dynamics.is_pushable if phases is None else None)
-        return nearest_depth(self._scene, world_index, poses, self._camera, self._wanted_view, mounts, moving)
+        return nearest_depth(
+            self._scene, world_index, poses, self._camera, self._wanted_view, mounts=mounts, moving=moving
+        )
 
     @cached_property
     def _yaws(self) -> list[tuple[np.ndarray, float]]:

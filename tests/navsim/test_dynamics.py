@@ -139,7 +139,10 @@ def _keys(obstacle):
     return settings.keys()
 
 
-@pytest.mark.parametrize("camera", [DepthCamera(), DepthCamera(width=33, height=25, mount_z=0.8)])
+@pytest.mark.parametrize(
+    "camera",
+    [DepthCamera(), DepthCamera(width=33, height=25, mount_z=0.8), DepthCamera(pitch_deg=12.0, mount_z=0.4)],
+)
 def test_depth_equals_that_of_a_still_world_with_everything_in_its_place(camera):
     low = {
         "box": {"at": [-1, 0], "size": [0.5, 0.3], "height": 0.2, "motion": {"path": [[-1, 0], [-2, 1]], "speed": 1}}
@@ -158,14 +161,34 @@ def test_depth_equals_that_of_a_still_world_with_everything_in_its_place(camera)
     assert not np.array_equal(moving, render_depth(world, views, camera))
 
 
+def test_robots_with_cameras_of_their_own_see_what_moves_for_each():
+    world = make_world(walker(PATH), door(base=0.1))
+    generator, count = np.random.default_rng(4), 24
+    views = generator.uniform([-3, -3, -math.pi], [3, 3, math.pi], (count, 3))
+    seen = poses_at(world, generator.uniform(0, 60, count), generator.uniform(0, 1, 2))
+    pitch_deg = np.where(np.arange(count) % 3 == 0, 0.0, generator.uniform(-15, 15, count))
+    mounts = DepthCamera().mounts(count)._replace(pitch=np.radians(pitch_deg))
+    scene, index = Scene([world.fixed_prisms]), np.zeros(count, dtype=np.intp)
+    moving = Dynamics([world]).prisms(index, seen)
+    images = cast(scene, index, views, DepthCamera(), mounts=mounts, moving=moving)
+    nearest = nearest_depth(scene, index, views, DepthCamera(), 5.0, mounts=mounts, moving=moving)
+    for robot in range(count):
+        camera = DepthCamera(pitch_deg=float(pitch_deg[robot]))
+        placed = still(world, seen[robot])
+        one = slice(robot, robot + 1)
+        np.testing.assert_array_equal(images[robot], render_depth(placed, views[one], camera)[0])
+        alone = nearest_depth(Scene([placed]), index[one], views[one], camera, 5.0)
+        assert nearest[robot] == alone[0]
+
+
 def test_nearest_depth_sees_what_moves():
     world = make_world(walker([[2, 0], [1, 0]], 1.0))
     dynamics, index = Dynamics([world]), np.zeros(1, dtype=np.intp)
     scene, view = Scene([world.fixed_prisms]), np.zeros((1, 3))
     for time in (0.0, 0.5, 1.0):
         moving = dynamics.prisms(index, dynamics.poses(index, np.zeros((1, 1)), np.array([time])))
-        image = cast(scene, index, view, DepthCamera(), moving)
-        nearest = nearest_depth(scene, index, view, DepthCamera(), 3.0, moving)
+        image = cast(scene, index, view, DepthCamera(), moving=moving)
+        nearest = nearest_depth(scene, index, view, DepthCamera(), 3.0, moving=moving)
         assert nearest[0] == image[0, 31].min() == pytest.approx(2 - time - 0.2 + 0.087, abs=1e-3)
 
 

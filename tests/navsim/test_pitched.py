@@ -179,8 +179,8 @@ def test_robots_that_carry_their_cameras_in_different_ways_see_what_each_would_a
     pitch_deg = np.where(np.arange(count) % 3 == 0, 0.0, rng.uniform(-15.0, 30.0, count))
     height, ahead, left = rng.uniform(0.2, 0.6, count), rng.uniform(-0.1, 0.1, count), rng.uniform(-0.1, 0.1, count)
     mounts = Mounts(ahead, left, height, np.radians(pitch_deg))
-    images = cast(scene, world_index, poses, SMALL, mounts)
-    nearest = nearest_depth(scene, world_index, poses, SMALL, 5.0, mounts)
+    images = cast(scene, world_index, poses, SMALL, mounts=mounts)
+    nearest = nearest_depth(scene, world_index, poses, SMALL, 5.0, mounts=mounts)
     for robot in range(count):
         alone = replace(
             SMALL,
