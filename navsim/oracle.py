@@ -65,6 +65,9 @@ _EFFORTS = (
 )
 """One after the other until there is a plan: with ease, then tighter, then all that the rules allow."""
 
+_COARSE = _Effort(margin=0.005, guide_margin=0.1, cell=0.08, headings=40, greed=2.0, max_nodes=30_000)
+"""Second where something moves: time multiplies the cells, and who must wait does better to see far than to see fine."""
+
 _CELL_LASTS = 1.0  # seconds, where something moves
 _SHUT_STEP = 0.1  # metres between the places of a door's edge that stand for the floor that it sweeps
 _BATCH = 64  # nodes that are examined at a time
@@ -136,7 +139,8 @@ class Oracle:
             return None
         row = np.zeros(self._rules.dynamics.most)
         row[: len(phases)] = phases
-        for effort, world in itertools.product(_EFFORTS, self._maps):
+        efforts = (_EFFORTS[0], _COARSE, *_EFFORTS[1:]) if self._rules.anything_moves else _EFFORTS
+        for effort, world in itertools.product(efforts, self._maps):
             actions = _search(pose, target, row, effort, self._rules, self._guide(world, target, effort))
             if actions is not None and self._succeeds(pose, target, row, actions):
                 return actions
