@@ -40,10 +40,7 @@ CAMERA = DepthCamera()
 SEEN_UP_TO = CAMERA.mount_z + 0.4 * math.tan(math.radians(CAMERA.vertical_fov_deg / 2))
 """Height, metres, that the camera sees at 0.4 m; what hangs higher can never be nearer than the depth rule allows."""
 REPOSITORY = Path(__file__).parents[2]
-ROOMS = {
-    kind: list(generate_worlds(kind, density=density, seed=5, count=4))
-    for kind, density in dict.fromkeys(KINDS, None).items()
-}
+ROOMS = {kind: list(generate_worlds(kind, seed=5, count=4)) for kind in KINDS}
 DENSITIES = {
     "clutter": (0.04, 0.11, 0.3),
     "blocks": (0.05, 0.25),
@@ -241,8 +238,9 @@ def test_offices_have_rooms_doors_desks_chairs_and_cupboards():
         assert len(partitions) >= 2
         tops = [o for o in world.obstacles if o.name.endswith("top")]
         assert all(o.base == 0.72 for o in tops)
-        # Doors shut, the partitions divide the room.
-        shut = shapely.union_all([p.buffer(0.65) for p in partitions]).buffer(-0.62)
+        # With the doors shut, the partitions divide the room.
+        grown = shapely.union_all([partition.buffer(0.65, join_style="mitre") for partition in partitions])
+        shut = grown.buffer(-0.63, join_style="mitre")
         floor = shapely.box(*-world.half_size, *world.half_size).difference(shut)
         assert sum(part.area > 4.0 for part in shapely.get_parts(floor)) >= 2
 
@@ -281,7 +279,7 @@ def solves(world: World, pair: tuple[int, int]) -> bool:
 
 @every_kind
 def test_the_oracle_solves_a_path(kind):
-    assert solves(ROOMS[kind][0], (1, 0))
+    assert solves(ROOMS[kind][0], (2, 3))
 
 
 @pytest.mark.slow
