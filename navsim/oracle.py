@@ -66,7 +66,7 @@ _EFFORTS = (
 """One after the other until there is a plan: with ease, then tighter, then all that the rules allow."""
 
 _COARSE = _Effort(margin=0.005, guide_margin=0.1, cell=0.08, headings=40, greed=2.0, max_nodes=30_000)
-"""Second where something moves: time multiplies the cells, and who must wait does better to see far than to see fine."""
+"""The second one where something moves: time multiplies the cells, and who must wait needs to see far, not fine."""
 
 _CELL_LASTS = 1.0  # seconds, where something moves
 _SHUT_STEP = 0.1  # metres between the places of a door's edge that stand for the floor that it sweeps

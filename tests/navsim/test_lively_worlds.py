@@ -212,16 +212,27 @@ def test_the_oracle_knows_where_a_walker_will_be():
     assert 1 <= failed <= 2
 
 
-def test_the_oracle_solves_a_sample_of_the_crowded_paths():
+def solve_crowded(paths):
     world = navsim.load_world("crowded")
     oracle = Oracle(world)
-    for path in (Path(1, 2), Path(2, 3), Path(3, 11)):
-        simulator = Simulator(world, seed=path.goal_index)
+    for seed, path in paths:
+        simulator = Simulator(world, seed=seed)
         simulator.reset(paths=[path])
         actions = oracle.plan(simulator.poses[0].copy(), simulator.goals[0].copy(), simulator.phases[0].copy())
+        assert actions is not None, path
         for action in actions:
             transition = simulator.step(np.array([action]))
         assert transition.success[0]
+
+
+def test_the_oracle_solves_a_sample_of_the_crowded_paths():
+    solve_crowded([(2, Path(1, 2)), (3, Path(2, 3)), (11, Path(3, 11))])
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+def test_the_oracle_solves_every_crowded_path():
+    solve_crowded((seed, Path(*pair)) for seed, pair in enumerate(navsim.load_world("crowded").paths))
 
 
 def test_furniture_that_moves_is_rearranged_with_its_way():
