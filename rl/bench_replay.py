@@ -25,7 +25,7 @@ SIZES = ((64, 80), (128, 160))
 """Heights and widths."""
 BATCH_SIZE = 64
 _ENVS, _STEPS = 16, 25
-_SAMPLES = 60
+_SAMPLES, _LEAST_SAMPLES, _SECONDS = 200, 3, 2.0
 _MEASURED_EXTENSIONS = 20
 
 
@@ -40,7 +40,7 @@ class Measurement(NamedTuple):
     microseconds_a_transition: float
     """to store one, from batches of 400"""
     milliseconds_a_sample: float
-    """of 64 transitions, median"""
+    """of 64 transitions, median; both are processor time"""
 
 
 class Streams:
@@ -133,14 +133,14 @@ def _measure(contestant: _Contestant, capacity: int, height: int, width: int) ->
     seconds = []
     for _ in range(batches):
         batch = streams.batch()
-        begin = time.perf_counter()
+        begin = time.process_time()
         contestant.extend(batch)
-        seconds.append(time.perf_counter() - begin)
+        seconds.append(time.process_time() - begin)
     samples = []
-    for _ in range(_SAMPLES):
-        begin = time.perf_counter()
+    while len(samples) < _LEAST_SAMPLES or (len(samples) < _SAMPLES and sum(samples) < _SECONDS):
+        begin = time.process_time()
         contestant.sample()
-        samples.append(time.perf_counter() - begin)
+        samples.append(time.process_time() - begin)
     return Measurement(
         contestant.name,
         height,
