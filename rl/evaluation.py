@@ -730,12 +730,14 @@ def comparison_table(evaluations: Sequence[Evaluation], *, title: str | None = N
 
     Args:
         evaluations: of one policy in one world each.
-        title: over the table; by default the worlds' names.
+        title: over the table; by default the worlds' names, and how many paths were driven.
     """
     worlds = dict.fromkeys(evaluation.world for evaluation in evaluations)
+    counts = {len(evaluation.paths) for evaluation in evaluations}
+    same_count = f", {counts.pop()} paths" if len(counts) == 1 else ""
     # Without vertical lines it fits a terminal of 80 columns.
     table = Table(
-        title=title or ", ".join(worlds),
+        title=title or ", ".join(worlds) + same_count,
         caption="in brackets: Wilson's 95% intervals; bump/near: collisions by the bumper / by the depth rule, %",
         box=SIMPLE_HEAD,
         padding=(0, 0, 0, 1),
@@ -743,7 +745,9 @@ def comparison_table(evaluations: Sequence[Evaluation], *, title: str | None = N
     table.add_column("policy", style="bold", no_wrap=True)
     if len(worlds) > 1:
         table.add_column("world")
-    for heading in ("paths", "success %", "collision %", "bump/near", "timeout %", "SPL", "steps", "reward"):
+    if not same_count:
+        table.add_column("paths", justify="right", no_wrap=True)
+    for heading in ("success %", "collision %", "bump/near", "timeout %", "SPL", "steps", "reward"):
         table.add_column(heading, justify="right", no_wrap=True)
     for evaluation in evaluations:
         rates = []
@@ -753,7 +757,7 @@ def comparison_table(evaluations: Sequence[Evaluation], *, title: str | None = N
         table.add_row(
             evaluation.policy,
             *([evaluation.world] if len(worlds) > 1 else []),
-            str(len(evaluation.paths)),
+            *([] if same_count else [str(len(evaluation.paths))]),
             *rates[:2],
             f"{100 * evaluation.bumper_rate:.0f}/{100 * evaluation.too_near_rate:.0f}",
             *rates[2:],
