@@ -568,7 +568,7 @@ def _progress(console: Console | None, label: str, total: int) -> Iterator[Calla
 def comparison_table(evaluations: Sequence[Evaluation], *, title: str | None = None) -> Table:
     """A table for the screen, one row an evaluation: rates in percent with their 95% intervals.
 
-    Beside the collisions stand the shares in which the bumper hit something and in which the depth rule was broken.
+    Beside the collisions (b/n) stand the shares in which the bumper hit something, and in which something was too near.
 
     Args:
         evaluations: of one policy in one world each.
@@ -578,14 +578,16 @@ def comparison_table(evaluations: Sequence[Evaluation], *, title: str | None = N
     # Without vertical lines it fits a terminal of 80 columns.
     table = Table(
         title=title or ", ".join(worlds),
-        caption="in brackets: Wilson's 95% intervals; bump/near: collisions by the bumper / by the depth rule, %",
+        caption="in brackets: Wilson's 95% intervals; b/n: collisions by bumper/nearness, %",
         box=SIMPLE_HEAD,
+        show_edge=False,
+        pad_edge=False,
         padding=(0, 0, 0, 1),
     )
     table.add_column("policy", style="bold", no_wrap=True)
     if len(worlds) > 1:
         table.add_column("world")
-    for heading in ("paths", "success %", "collision %", "bump/near", "timeout %", "SPL", "steps", "reward"):
+    for heading in ("paths", "success %", "collision %", "b/n", "timeout %", "SPL", "steps", "reward"):
         table.add_column(heading, justify="right", no_wrap=True)
     for evaluation in evaluations:
         rates = []
