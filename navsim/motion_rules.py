@@ -77,7 +77,7 @@ def _contradictions(world: World) -> Iterator[Problem]:
         if obstacle.pushable is not None and obstacle.base > 0.0:
             yield Problem((*where, "base"), "what can be pushed slides on the floor; leave 'base' out")
         path, at = getattr(obstacle.motion, "path", None), getattr(obstacle, "at", None)
-        if path is not None and at is not None and path[0] != at:
+        if path is not None and at is not None and math.dist(path[0], at) > TOUCH:
             shown = f"[{at[0]:g}, {at[1]:g}]"
             yield Problem((*where, "motion", "path", 0), f"must be where the obstacle stands, 'at' {shown}")
     for one in dynamic_obstacles(world):

@@ -726,7 +726,7 @@ def _progress(console: Console | None, label: str, total: int) -> Iterator[Calla
 def comparison_table(evaluations: Sequence[Evaluation], *, title: str | None = None) -> Table:
     """A table for the screen, one row an evaluation: rates in percent with their 95% intervals.
 
-    Beside the collisions stand the shares in which the bumper hit something and in which the depth rule was broken.
+    Beside the collisions (b/n) stand the shares in which the bumper hit something, and in which something was too near.
 
     Args:
         evaluations: of one policy in one world each.
@@ -740,6 +740,8 @@ def comparison_table(evaluations: Sequence[Evaluation], *, title: str | None = N
         title=title or ", ".join(worlds) + same_count,
         caption="in brackets: Wilson's 95% intervals; bump/near: collisions by the bumper / by the depth rule, %",
         box=SIMPLE_HEAD,
+        show_edge=False,
+        pad_edge=False,
         padding=(0, 0, 0, 1),
     )
     table.add_column("policy", style="bold", no_wrap=True)
