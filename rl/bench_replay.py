@@ -136,7 +136,7 @@ def _measure(contestant: _Contestant, capacity: int, height: int, width: int) ->
         begin = time.process_time()
         contestant.extend(batch)
         seconds.append(time.process_time() - begin)
-    samples = []
+    samples: list[float] = []
     while len(samples) < _LEAST_SAMPLES or (len(samples) < _SAMPLES and sum(samples) < _SECONDS):
         begin = time.process_time()
         contestant.sample()
