@@ -17,7 +17,9 @@ from pathlib import Path
 import pytest
 
 from navsim.camera import DepthCamera
+from navsim.randomization import Randomization
 from navsim.robot import Robot
+from navsim.sensor import SensorModel
 from navsim.task import Task
 from rl.cli import main
 from rl.config import PRESETS, TrainConfig
@@ -165,7 +167,7 @@ def test_the_oracle_checks_generated_rooms_on_request(tmp_path, capsys, monkeypa
     assert main([*arguments, "--solve", "--out", str(tmp_path / "rooms")]) == 0
     solved, paths = re.search(r"(\d+)/(\d+)", capsys.readouterr().out).groups()
     assert solved == paths
-    monkeypatch.setattr("rl.baselines.Oracle.plan", lambda self, start, goal: None)
+    monkeypatch.setattr("rl.baselines.Oracle.plan", lambda self, start, goal, phases: None)
     assert main([*arguments, "--solve", "--out", str(tmp_path / "more")]) == 2
     assert "blocks-0001: the oracle found no way from starts[0] to goals[0]" in capsys.readouterr().err
     assert (tmp_path / "more" / "blocks-0001.yaml").is_file()
@@ -353,10 +355,9 @@ def test_help_explains_every_setting_of_a_training(monkeypatch, capsys):
     assert main(["train", "--help"]) == 0
     text = re.sub(r"[\s│╭╰╮╯─]+", " ", capsys.readouterr().out)
     flags = ["resume"]
-    for prefix, part in (("", TrainConfig), ("camera.", DepthCamera), ("task.", Task), ("robot.", Robot)):
-        names = [
-            setting.name for setting in dataclasses.fields(part) if setting.name not in ("camera", "task", "robot")
-        ]
+    parts = {"camera": DepthCamera, "task": Task, "robot": Robot, "sensor": SensorModel, "randomization": Randomization}
+    for prefix, part in (("", TrainConfig), *((f"{name}.", part) for name, part in parts.items())):
+        names = [setting.name for setting in dataclasses.fields(part) if setting.name not in parts]
         flags += [prefix + name.replace("_", "-") for name in names]
     for flag in flags:
         explained = re.search(rf"--{re.escape(flag)}[ ,](.*?)\(default: ", text)
@@ -478,7 +479,7 @@ def test_a_mistake_of_the_library_keeps_its_traceback(monkeypatch, room):
 
 
 def test_ctrl_c_ends_with_status_130(monkeypatch, room, capsys):
-    def interrupted(*_):
+    def interrupted(*_, **__):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("navsim.show.save_plan_view", interrupted)

@@ -295,7 +295,7 @@ def test_a_planner_gets_each_world_with_its_own_paths():
     class Recorder:
         name = "recorder"
 
-        def plan(self, world, starts, goals, camera, task, robot):
+        def plan(self, world, starts, goals, camera, task, robot, phases):
             plans.setdefault(world.name, []).extend(goals.tolist())
             return [np.array([1, 4, 4])] * len(starts)
 

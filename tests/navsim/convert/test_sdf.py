@@ -294,9 +294,13 @@ def test_places_of_the_files_own_that_are_not_free_are_left_out_and_listed(tmp_p
 def test_shipped_worlds_come_back_from_sdf_as_they_were(name, tmp_path):
     world = navsim.load_world(name)
     path = tmp_path / "world.sdf"
-    assert save_sdf(world, path) == []
+    notes = save_sdf(world, path)
+    lively = [obstacle.name for obstacle in world.obstacles if obstacle.motion or obstacle.pushable]
+    assert all(any(name in note for note in notes) for name in lively)
+    assert bool(notes) == bool(lively)
     back, _ = load_sdf(path)
-    assert back.to_dict() == world.to_dict()
+    still = world.replace(obstacles=[obstacle.replace(motion=None, pushable=None) for obstacle in world.obstacles])
+    assert back.to_dict() == still.to_dict()
     assert_same_view(world, back)
 
 
