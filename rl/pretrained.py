@@ -8,17 +8,15 @@ from __future__ import annotations
 
 import difflib
 import json
-import os
-import tempfile
 from pathlib import Path
 
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torchrl.modules import QValueActor
 
 from rl.config import TrainConfig
 from rl.learner import make_actor
-from rl.run import Run, RunError
+from rl.run import Run, RunError, atomic_write
 from rl.weights import misfit
 
 PREFIX = "pretrained:"
@@ -66,17 +64,9 @@ def pack_policy(run: Run, path: Path) -> None:
     size = sum(weight.numel() * weight.element_size() for weight in halved.values())
     if size > LARGEST_FILE:
         raise RunError(f"{run.directory}: the packed policy has {size / 2**20:.1f} MiB, more than the 4 MiB allowed")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    os.close(handle)
     settings = run.config.to_dict() | {"out": None}  # where it was trained is nobody's business
-    try:
-        save_file(halved, temporary, metadata={"format": "1", "settings": json.dumps(settings)})
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    with atomic_write(path, "wb") as file:
+        file.write(save(halved, metadata={"format": "1", "settings": json.dumps(settings)}))
 
 
 def read_policy(path: Path) -> tuple[QValueActor, TrainConfig]:
