@@ -268,6 +268,8 @@ class _Extents:
                 start, end = event.start_mark, event.end_mark
                 if isinstance(event, yaml.CollectionStartEvent):
                     open_marks.append((start, event.flow_style))
+                    if len(open_marks) > DEEPEST_NESTING + 1:  # read no further than the reader of values has
+                        break
                     continue
                 if isinstance(event, yaml.CollectionEndEvent):
                     start, is_flow = open_marks.pop()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import string
+import time
 from pathlib import Path
 
 import pytest
@@ -318,7 +319,9 @@ def test_bytes_that_are_not_utf_8_are_told_with_their_place():
 
 
 def test_what_is_nested_without_end_is_refused():
+    begin = time.process_time()
     problem = problem_of("[" * 100_000)
+    assert time.process_time() - begin < 2.0, "a bomb is refused at once"
     assert problem.endswith("lists and mappings are nested deeper than 50 levels; a world needs six")
 
 

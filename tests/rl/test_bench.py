@@ -70,6 +70,7 @@ def test_operations_are_those_of_the_layers():
     assert counted == 5 * evaluation - no_gradient_of_images
 
 
+@pytest.mark.slow  # where the processor has no bfloat16, one such update takes seconds
 def test_updates_a_second_are_told_for_each_setting(console):
     measured = bench_learner.run(console, seconds=0.01)
     assert [(row.batch_size, row.number_format) for row in measured] == [

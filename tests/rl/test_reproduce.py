@@ -76,6 +76,7 @@ def test_finished_cells_are_skipped_and_begun_ones_resumed(tmp_path, monkeypatch
 
     monkeypatch.setattr(rl.reproduce, "train", train)
     monkeypatch.setattr(rl.reproduce, "_results_of", lambda cell, run, console: result(cell, 2, 8))
+    monkeypatch.setattr(rl.reproduce, "write_up", lambda results: None)
     reproduce(chosen, runs=tmp_path / "runs", results=tmp_path / "results", console=QUIET)
     assert trained == [(begun.name, True), (fresh.name, False)]
     trained.clear()

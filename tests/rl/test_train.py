@@ -23,11 +23,14 @@ from rl.train import train
 QUIET = Console(quiet=True)
 
 
+HALL = Path(__file__).with_name("hall.yaml")
+
+
 def config(out: Path, **settings) -> TrainConfig:
     small = replace(
         PRESETS["fast"],
         camera=DepthCamera(width=20, height=12),
-        eval_world="simple_eval",
+        eval_world=str(HALL),
         rearrangements=2,
         total_steps=768,
         num_envs=4,
@@ -125,7 +128,7 @@ def test_the_thesis_preset_trains(tmp_path):
         camera=DepthCamera(width=20, height=12),
         model="S",
         world=("simple_train",),
-        eval_world="simple_eval",
+        eval_world=str(HALL),
         total_steps=192,
         warmup_steps=64,
         num_threads=1,
