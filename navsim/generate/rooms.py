@@ -49,11 +49,14 @@ _PLACES_EACH_SQUARE_METRE = 5  # random ones that starts and goals are chosen fr
 _CONNECTED = 0.9  # share of the places with room for a passage that must be connected with each other
 _SPARE_STARTS = 2  # chosen beyond those, as some have no free view
 _STARTS_APART = 1.0  # metres
+_TURNING_ROOM = 0.9  # metres free around a start, with which the robot can drive a circle and see nothing too near
+_ROOMIEST = 0.15  # share of the places that starts are chosen from at least
+_LONGEST_VIEW = 3.0  # metres, how far a start looks around
 _GOALS_APART = 0.6  # metres
 _START_TO_GOAL = 2.0 * Task.goal_radius + 0.2  # metres
 
 _CAMERA = DepthCamera()
-_YAWS = np.deg2rad(np.arange(-150.0, 181.0, 30.0))  # in which starts look around
+_YAWS_DEG = np.arange(-165.0, 181.0, 15.0)  # in which starts look around
 SEEN_BELOW = _CAMERA.mount_z + Task.collision_depth * float(np.abs(_CAMERA.row_slopes).max())
 """Height, metres, up to which the camera sees things as near as the depth rule allows: what hangs higher never collides
 by that rule."""
@@ -185,10 +188,10 @@ def _checked(layout: Layout, generator: np.random.Generator, size: tuple[float, 
     # A disc as wide as a passage must find its way around all that the robot hits or sees too near.
     space = FreeSpace(bare, PASSAGE / 2, max(TURTLEBOT2.height, SEEN_BELOW))
     places = _connected_places(space, generator, size)
-    starts, goals = _spread(places, generator, bare)
+    starts, goals = _spread(places, space, generator, bare)
     if len(starts) < FEWEST_STARTS or len(goals) < FEWEST_GOALS:
         return None
-    return World.model_validate({**room, "starts": starts.tolist(), "goals": goals.tolist()})
+    return World.model_validate({**room, "starts": starts, "goals": goals})
 
 
 def _obstacle(part: Part) -> Obstacle:
@@ -209,13 +212,22 @@ def _connected_places(space: FreeSpace, generator: np.random.Generator, size: tu
     return points[is_connected] if is_connected.mean() >= _CONNECTED else points[:0]
 
 
-def _spread(places: np.ndarray, generator: np.random.Generator, world: World) -> tuple[np.ndarray, np.ndarray]:
-    """Starts ``(S, 2)`` and goals ``(G, 2)`` among ``places``, each as far from those before it as can be."""
+def _spread(
+    places: np.ndarray, space: FreeSpace, generator: np.random.Generator, world: World
+) -> tuple[list[Any], list[Any]]:
+    """Starts and goals among ``places`` ``(K, 2)``, as a world lists them, each far from those before it.
+
+    The robot can neither stop nor reverse. Where it has room to turn around, it may face any way that has a free view;
+    in a room that has few such places, it starts in the roomiest ones and faces where the view is longest, lest it
+    begin before a dead end.
+    """
     if not len(places):
-        return places, places
-    first = places[generator.integers(len(places))][None]
-    starts = _scattered(places, first, STARTS + _SPARE_STARTS, _STARTS_APART)
-    starts = starts[_have_a_view(world, starts)][:STARTS]
+        return [], []
+    clear = _clearance(places, space, world)
+    starts, yaws = _starts(places[clear >= _TURNING_ROOM], generator, world, Task.start_view)
+    yaws[:] = np.nan
+    if len(starts) < FEWEST_STARTS:
+        starts, yaws = _starts(places[clear >= np.quantile(clear, 1.0 - _ROOMIEST)], generator, world, _LONGEST_VIEW)
     goals = places[:0]
     while len(starts):
         far = places[_nearest(places, starts) >= _START_TO_GOAL]
@@ -223,7 +235,46 @@ def _spread(places: np.ndarray, generator: np.random.Generator, world: World) ->
         if len(goals) >= FEWEST_GOALS:
             break
         starts = starts[:-1]  # in a small room they leave no place for goals
-    return starts, goals
+    listed = [
+        place if math.isnan(yaw) else {"at": place, "yaw_deg": yaw}
+        for place, yaw in zip(starts.tolist(), yaws.tolist(), strict=False)
+    ]
+    return listed, goals.tolist()
+
+
+def _starts(
+    places: np.ndarray, generator: np.random.Generator, world: World, within: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Starts ``(S, 2)`` among ``places``, metres, and the yaw of the longest view of each ``(S,)``, degrees.
+
+    Views of ``within``, metres, and longer ones count alike.
+    """
+    if not len(places):
+        return places, np.empty(0)
+    first = places[generator.integers(len(places))][None]
+    starts = _scattered(places, first, STARTS + _SPARE_STARTS, _STARTS_APART)
+    views, longest = _views(world, starts, within)
+    usable = np.flatnonzero(views >= Task.start_view)[:STARTS]
+    return starts[usable], longest[usable]
+
+
+def _clearance(points: np.ndarray, space: FreeSpace, world: World) -> np.ndarray:
+    """``(K,)`` metres from ``points`` to the nearest obstacle in the robot's way or wall."""
+    return np.minimum(space.obstacles.nearest(points)[0], (world.half_size - np.abs(points)).min(axis=1))
+
+
+def _views(world: World, starts: np.ndarray, within: float) -> tuple[np.ndarray, np.ndarray]:
+    """How far the camera sees nothing in the way, at most ``within``, in the best direction, and that direction.
+
+    Returns:
+        ``(S,)`` metres; ``(S,)`` degrees.
+    """
+    count = len(_YAWS_DEG)
+    yaws = np.tile(np.deg2rad(_YAWS_DEG), len(starts))
+    poses = np.column_stack([np.repeat(starts, count, axis=0), yaws])
+    index = np.zeros(len(poses), dtype=np.intp)
+    depth = nearest_depth(Scene([world]), index, poses, _CAMERA, within=within).reshape(-1, count)
+    return depth.max(axis=1), _YAWS_DEG[depth.argmax(axis=1)]
 
 
 def _scattered(places: np.ndarray, chosen: np.ndarray, count: int, apart: float) -> np.ndarray:
@@ -236,16 +287,6 @@ def _scattered(places: np.ndarray, chosen: np.ndarray, count: int, apart: float)
         chosen = np.vstack([chosen, places[distance.argmax()]])
         distance = np.minimum(distance, _nearest(places, chosen[-1:]))
     return chosen
-
-
-def _have_a_view(world: World, starts: np.ndarray) -> np.ndarray:
-    """Whether the camera sees nothing within the view that a start needs, in some direction: ``(S,)`` bool."""
-    count = len(_YAWS)
-    poses = np.column_stack([np.repeat(starts, count, axis=0), np.tile(_YAWS, len(starts))])
-    view = Task.start_view
-    depth = nearest_depth(Scene([world]), np.zeros(len(poses), dtype=np.intp), poses, _CAMERA, within=view)
-    is_free: np.ndarray = depth.reshape(-1, count) >= view
-    return np.any(is_free, axis=1)
 
 
 def _nearest(points: np.ndarray, others: np.ndarray) -> np.ndarray:

@@ -90,8 +90,9 @@ def is_raised(obstacle) -> bool:
 def test_every_start_and_goal_are_joined_by_passages_of_a_metre(kind):
     for world in ROOMS[kind]:
         assert joined_by_passages(world, PASSAGE - 0.002)
-        assert len(world.starts) == 5
-        assert len(world.goals) == 10
+        assert 2 <= len(world.starts) <= 5
+        assert 3 <= len(world.goals) <= 10
+        assert kind in ("corridors", "warehouse") or (len(world.starts), len(world.goals)) == (5, 10)
 
 
 @pytest.mark.parametrize(("kind", "density"), [(kind, d) for kind, ds in DENSITIES.items() for d in ds])
@@ -129,6 +130,8 @@ def test_every_start_has_a_metre_of_free_view_in_some_direction(kind):
             poses = np.column_stack([np.full(len(yaws), start.at[0]), np.full(len(yaws), start.at[1]), yaws])
             views = nearest_depth(scene, np.zeros(len(yaws), dtype=np.intp), poses, CAMERA, within=1.0)
             assert np.count_nonzero(views >= 1.0) >= 1
+            if start.yaw_deg is not None:
+                assert views[round((start.yaw_deg + 175.0) / 5.0)] >= 1.0
 
 
 @every_kind
@@ -287,7 +290,7 @@ def test_the_oracle_solves_a_path(kind):
 @every_kind
 def test_the_oracle_solves_a_path_from_every_start_in_many_rooms(kind):
     density = DENSITIES[kind][-1]
-    for world in (*ROOMS[kind], *generate_worlds(kind, density=density, seed=3, count=3)):
+    for world in (*ROOMS[kind], *generate_worlds(kind, density=density, seed=3, count=4)):
         for start in range(len(world.starts)):
             assert solves(world, (start, (3 * start + 1) % len(world.goals))), f"{world.name}, start {start}"
 
