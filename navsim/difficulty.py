@@ -29,7 +29,7 @@ LONGEST_DETOUR = 4.0
 """A way so many times longer than the straight line, or one that does not exist, counts as this."""
 NEAR = 1.0
 """Metres from an obstacle within which the floor counts as narrow."""
-COEFFICIENTS = (-2.81, 6.84, 1.81)
+COEFFICIENTS = (-3.59, 7.09, 3.23)
 """Of the logistic model: the constant, and the factors of ``detour`` and ``narrow``."""
 _SPACING = 0.1  # metres, of the grid
 _PLACES = 24  # of a world that leaves its starts or goals open
