@@ -122,6 +122,7 @@ class Simulator:
         self.sensor = sensor or SensorModel()
         self.randomization = randomization or Randomization()
         self.randomization.check(self.camera, self.task, self.sensor)
+        self._is_randomized = self.randomization != Randomization()
         self.draw_worlds = draw_worlds
         self.goals = np.zeros((num_robots, 2))
         self.commands = np.tile(np.array(INITIAL_COMMAND), (num_robots, 1))
@@ -318,6 +319,8 @@ class Simulator:
 
     def _randomize(self, robot: int, episodes: Episodes, episode: Episode) -> np.ndarray:
         """Draws what differs in a robot's next episode; returns its pose at the start, ``(3,)``."""
+        if not self._is_randomized:
+            return episode.pose
         randomization, generator = self.randomization, self._domain_generators[robot]
         drawn = randomization.draw(generator, self.camera, self.sensor)
         for values, value in zip(self.mounts, drawn.mount, strict=True):

@@ -21,6 +21,7 @@ import navsim.simulator
 from navsim.camera import DepthCamera
 from navsim.physics import Physics
 from navsim.simulator import Simulator
+from rl.baselines import RandomPolicy
 from rl.env import NavEnv
 from rl.memory import keep_freed_memory
 from rl.run import processor
@@ -60,7 +61,15 @@ def run(console: Console, *, world: str = "complex_train", steps: int = 4_096) -
     torch.set_num_threads(1)
     keep_freed_memory()
     env = NavEnv(world, NUM_ENVS, seed=0)
-    collector = Collector(env, frames_per_batch=BATCH, total_frames=-1, track_traj_ids=False, use_buffers=False)
+    collector = Collector(
+        env,
+        RandomPolicy(),
+        frames_per_batch=BATCH,
+        total_frames=-1,
+        track_traj_ids=False,
+        use_buffers=False,
+        auto_register_policy_transforms=False,
+    )
     batches = iter(collector)
     collect = lambda count: [next(batches) for _ in range(0, count, BATCH)]  # noqa: E731
     collect(_WARM_UP)

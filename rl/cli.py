@@ -237,7 +237,9 @@ def bench_camera(peers: FlagCreatePairsOff[bool] = False) -> None:
 def bench_world() -> None:
     """Time to load a world of 10,000 obstacles, and to reset robots in it."""
     from navsim.bench_world import run
+    from rl.memory import keep_freed_memory
 
+    keep_freed_memory()  # as training does
     with busy("loading"):
         run(Console())
 

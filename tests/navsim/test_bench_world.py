@@ -15,4 +15,5 @@ def test_what_was_measured_is_told(monkeypatch):
     text = console.export_text()
     assert "A world of 40 obstacles" in text
     assert f"{1e3 * times.reset:.1f}" in text
+    assert f"{1e3 * times.listed_reset:.1f}" in text
     assert 0.0 < times.reset < times.first_reset
