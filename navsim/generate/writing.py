@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 
 from navsim.generate.rooms import RoomSettings
 from navsim.world import World
-from navsim.worldfile import dump_world
+from navsim.worldfile import dump_world, write_atomically
+
+_WORTH_PROCESSES = 64
+"""Rooms from which on every processor makes some: it takes a second to begin."""
 
 
 def write_rooms(
@@ -41,12 +47,19 @@ def write_rooms(
 
 
 def _written(settings: RoomSettings, files: list[Path], first: int) -> Iterator[tuple[World, Path]]:
-    for index, file in enumerate(files, start=first):
-        world = settings.room(index)
-        unfinished = file.with_name(f".{file.name}.part")
-        unfinished.write_text(room_text(settings, index, world), encoding="utf-8")
-        unfinished.replace(file)
-        yield world, file
+    write, indices = partial(_write_room, settings), range(first, first + len(files))
+    if len(files) < _WORTH_PROCESSES:
+        yield from map(write, indices, files)
+        return
+    # Fresh processes: one that is forked off a program with threads, as PyTorch's, may wait for a lock forever.
+    with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as processes:
+        yield from processes.map(write, indices, files, chunksize=8)
+
+
+def _write_room(settings: RoomSettings, index: int, file: Path) -> tuple[World, Path]:
+    world = settings.room(index)
+    write_atomically(file, room_text(settings, index, world))
+    return world, file
 
 
 def room_text(settings: RoomSettings, index: int, world: World) -> str:

@@ -372,3 +372,12 @@ def test_the_room_is_low_enough_for_the_robot():
 
     assert pytest.approx(SEEN_UP_TO, abs=0.01) == SEEN_BELOW
     assert max(TURTLEBOT2.height, SEEN_BELOW) >= SEEN_UP_TO - 0.01
+
+
+def test_rooms_made_in_processes_of_their_own_are_the_same(tmp_path, monkeypatch):
+    settings = RoomSettings("blocks", (4.0, 4.0), 0.06, 5)
+    alone = [file.read_bytes() for _, file in write_rooms(settings, tmp_path / "alone", 3)]
+    monkeypatch.setattr("navsim.generate.writing._WORTH_PROCESSES", 2)
+    together = list(write_rooms(settings, tmp_path / "together", 3))
+    assert [file.read_bytes() for _, file in together] == alone
+    assert [world.name for world, _ in together] == [settings.name(index) for index in range(3)]
