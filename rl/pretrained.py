@@ -45,7 +45,8 @@ def load_pretrained(name: str) -> tuple[QValueActor, TrainConfig]:
     known = pretrained_policies()
     if name not in known:
         meant = difflib.get_close_matches(name, known, n=1, cutoff=0.4)
-        remedy = f'did you mean "{PREFIX}{meant[0]}"?' if meant else f"there are: {', '.join(known)}"
+        others = f"there are: {', '.join(known)}" if known else "this version has none: name a run's directory"
+        remedy = f'did you mean "{PREFIX}{meant[0]}"?' if meant else others
         raise RunError(f'no policy "{PREFIX}{name}" comes with the library; {remedy}')
     return read_policy(_DIRECTORY / f"{name}.safetensors")
 
