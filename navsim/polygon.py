@@ -70,7 +70,9 @@ def convex_pieces(points: Sequence[Vertex]) -> list[list[Vertex]]:
     triangles = mapbox_earcut.triangulate_float64(np.array(corners), ends).reshape(-1, 3).tolist()
     oriented = (t if _turn(corners[t[0]], corners[t[1]], corners[t[2]]) > 0.0 else t[::-1] for t in triangles)
     pieces = _merge_pieces([piece for piece in oriented if signed_area([corners[i] for i in piece]) > 0.0], corners)
-    return [_without_straight_corners([corners[i] for i in piece]) for piece in pieces]
+    trimmed = [_without_straight_corners([corners[i] for i in piece]) for piece in pieces]
+    # A sliver as thin as rounding has an area from one corner, and straight corners from another: it encloses nothing.
+    return [piece for piece in trimmed if len(piece) >= 3]
 
 
 def _merge_pieces(pieces: list[list[int]], corners: Sequence[Vertex]) -> list[list[int]]:
