@@ -479,6 +479,9 @@ class _Document:
         line, column, found = 1, 1, str(getattr(error, "reason", error))
         if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
             line, column = error.problem_mark.line + 1, error.problem_mark.column + 1
+            lines = text_lines(self._text)
+            if line > len(lines):  # the end of a text without a last line break is taken for a line of its own
+                line, column = len(lines), len(lines[-1]) + 1
             found = " ".join(filter(None, (error.problem, error.context)))
             if error.context and error.context_mark is not None:
                 found += f" that begins in line {error.context_mark.line + 1}"
