@@ -64,14 +64,14 @@ class Room:
 def drive(rooms_each: int, paths_each: int, console: Console) -> Iterator[Room]:
     """Makes ``rooms_each`` rooms of every kind and density, and drives ``paths_each`` paths in each of them."""
     policy = make_baseline("reactive", DepthCamera())
-    todo = [
+    remaining = [
         (RoomSettings(kind, (7.0, 7.0), density, _SEED), index)
         for index in range(rooms_each)
         for kind, densities in DENSITIES.items()
         for density in densities
     ]
-    for begin in track(range(0, len(todo), _GROUP), "driving", console=console, disable=not console.is_terminal):
-        group = todo[begin : begin + _GROUP]
+    for begin in track(range(0, len(remaining), _GROUP), "driving", console=console, disable=not console.is_terminal):
+        group = remaining[begin : begin + _GROUP]
         worlds = [settings.room(index) for settings, index in group]
         paths = sum(min(paths_each, len(world.paths)) for world in worlds)
         evaluation = evaluate(policy, worlds, seed=_SEED, num_paths=paths)
