@@ -63,7 +63,8 @@ def patched(text: str, edits: Sequence[Mapping[str, Any]]) -> str:
         edits: each is one of
 
             - ``{"op": "set", "where": ["obstacles", 2], "values": {"at": [1.0, 2.0]}}``: gives the entry's settings new
-              values; None takes a setting out. ``where: []`` is the world itself, with keys such as ``size``.
+              values; None takes a setting out, with the comment on its line. ``where: []`` is the world itself, with
+              keys such as ``size``.
             - ``{"op": "add", "list": "goals", "entry": [1.0, 2.0], "index": 3}``: puts an entry into a list, at its end
               unless ``index`` says where. A list that is missing or ``random`` is begun.
             - ``{"op": "remove", "where": ["starts", 0]}``: takes an entry out, with the comment on its line. The last

@@ -50,6 +50,20 @@ def lines_of_entry(text: str, name: str, index: int) -> set[int]:
     return set(range(first, first + len(lines_of(tree.text[tree.line_start(start) : node.end]))))
 
 
+def lines_of_settings_taken_out(text: str, edit: dict) -> set[int]:
+    """Lines that hold nothing but a setting that the edit sets to None, counted from 0."""
+    tree = Tree(text.removeprefix("\ufeff"))
+    name, index = edit["where"]
+    node = tree.root.own(name).meant.items[index].meant
+    settings = node.pairs[0][1].meant if name == "obstacles" else node
+    lines = set()
+    for key, value in settings.pairs if not settings.flow else ():
+        if key.key in edit["values"] and edit["values"][key.key] is None and tree.is_first_on_line(key.start):
+            first = len(lines_of(tree.text[: tree.line_start(key.start)]))
+            lines |= set(range(first, first + len(lines_of(tree.text[tree.line_start(key.start) : value.end]))))
+    return lines
+
+
 @st.composite
 def edits_of(draw, data: dict):
     """An edit of ``data``, and the data that it should make of it."""
@@ -117,7 +131,8 @@ def check_edit(text: str, edit: dict, intended: dict, comments: list[str]) -> st
     if edit["op"] != "add" and edit["where"]:
         own_lines = lines_of_entry(text, *edit["where"])
         allowed |= own_lines
-        gone = "".join(lines_of(text.removeprefix("\ufeff"))[i] for i in own_lines) if edit["op"] == "remove" else ""
+        taken_out = own_lines if edit["op"] == "remove" else lines_of_settings_taken_out(text, edit)
+        gone = "".join(lines_of(text.removeprefix("\ufeff"))[i] for i in taken_out)
     missing = [comment for comment in comments if comment not in new and comment not in gone]
     assert not missing
     old_breaks = set(re.findall(r"\r\n|\n|\r", text))
