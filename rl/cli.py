@@ -364,25 +364,27 @@ def _training_settings(arguments: Sequence[str]) -> tuple["TrainConfig", bool]:
         ConfigError: for settings that cannot be used.
         RunError: if they are not those of the run that is to be gone on with.
     """
-    from rl.config import PRESETS
+    from rl.config import PRESETS, ConfigError
 
     finder = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     finder.add_argument("--preset", nargs="?")
     preset = finder.parse_known_args(arguments)[0].preset
-    config, resume = _parse(arguments, PRESETS.get(preset, PRESETS["fast"]))
-    from rl.run import Run, RunError
+    try:
+        config, resume = _parse(arguments, PRESETS.get(preset, PRESETS["fast"]))
+    except ConfigError as error:
+        if error.config is None:
+            raise
+        from rl.feasibility import obstacles
+
+        raise ConfigError("\n".join([str(error), *obstacles(error.config)])) from None
+    from rl.run import Run
 
     run = Run(config.directory)
     if not (resume and run.exists):
         return config, False
     begun = dataclasses.replace(run.config, out=config.directory)
     asked, _ = _parse(arguments, begun)
-    changed = [name for name, value in begun.to_dict().items() if value != asked.to_dict()[name]]
-    if changed:
-        raise RunError(
-            f"{config.directory} was begun with other settings ({', '.join(changed)}), and a run keeps its settings; "
-            "leave them out to go on with it, or choose another directory (--out) to begin anew"
-        )
+    run.check_resumable(asked)
     return begun, True
 
 

@@ -7,6 +7,7 @@ import math
 import multiprocessing
 import signal
 import traceback
+from collections import OrderedDict
 from collections.abc import Iterator
 from functools import partial
 from multiprocessing.connection import Connection
@@ -14,8 +15,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from torch.utils._pytree import tree_map
 from torchrl.collectors import AsyncCollector, BaseCollector, Collector
 from torchrl.modules import EGreedyModule
 from torchrl.weight_update import SharedMemWeightSyncScheme
@@ -109,10 +111,44 @@ def make_collector(
     }
     if config.collector == "async":
         return BackgroundCollector(env, policy, seed=config.seed if seed is None else seed, **frames)
-    return Collector(env, policy, **frames, **_COLLECTOR_SETTINGS)
+    return ResumableCollector(env, policy, **frames, **_COLLECTOR_SETTINGS)
 
 
 _COLLECTOR_SETTINGS = {"track_traj_ids": False, "use_buffers": False, "auto_register_policy_transforms": False}
+
+
+class ResumableCollector(Collector):
+    """TorchRL's ``Collector`` over a ``NavEnv``, which goes on from a checkpoint as if nothing had happened.
+
+    TorchRL's own ``state_dict`` leaves out the environment and the observation that the next action is for, because not
+    every environment can tell its state; this one can. It leaves out the policy, which is saved elsewhere.
+    """
+
+    def state_dict(self) -> OrderedDict:
+        """Counters, the environment's state, and what the robots perceive; tensors and plain values only."""
+        return OrderedDict(
+            frames=self._frames,
+            iter=self._iter,
+            environment=tree_map(_as_tensor, self.env.state_dict()),
+            perceived=dict(self._carrier.flatten_keys(".").items()),
+        )
+
+    def load_state_dict(self, state_dict: OrderedDict, **kwargs: Any) -> None:
+        """Goes on from ``state_dict``."""
+        self._frames, self._iter = state_dict["frames"], state_dict["iter"]
+        environment = state_dict["environment"]
+        simulator = tree_map(_as_array, environment["simulator"])
+        self.env.load_state_dict(environment | {"simulator": simulator})
+        perceived = TensorDict(state_dict["perceived"], self.env.batch_size, device=self._carrier.device)
+        self._carrier = perceived.unflatten_keys(".").clone()
+
+
+def _as_tensor(value: Any) -> Any:
+    return torch.from_numpy(value) if isinstance(value, np.ndarray) else value
+
+
+def _as_array(value: Any) -> Any:
+    return value.numpy() if isinstance(value, torch.Tensor) else value
 
 
 class CollectorError(RuntimeError):

@@ -20,8 +20,21 @@ from navsim.worldsource import check_sources, is_generated, short_name
 Model = Literal["I", "S"]
 
 
+LEAST_WIDTH, LEAST_HEIGHT = 14, 10
+"""Of images, pixels: the size of the networks' first kernel (``rl.networks``)."""
+
+
 class ConfigError(ValueError):
-    """Settings that cannot be used; every problem has a line of its own."""
+    """Settings that cannot be used; every problem has a line of its own.
+
+    Args:
+        message: the problems.
+        config: the settings, where there are some.
+    """
+
+    def __init__(self, message: str, config: TrainConfig | None = None) -> None:
+        super().__init__(message)
+        self.config = config
 
 
 @dataclass(frozen=True)
@@ -162,7 +175,7 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
     def __post_init__(self) -> None:
         problems = list(self._problems())
         if problems:
-            raise ConfigError("\n".join(problems))
+            raise ConfigError("\n".join(problems), self)
 
     def _problems(self):
         positive = (
@@ -221,6 +234,11 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
             yield (
                 f"--total-steps ({self.total_steps}) must exceed --warmup-steps ({self.warmup_steps}): "
                 "nothing would be learnt"
+            )
+        if self.camera.width < LEAST_WIDTH or self.camera.height < LEAST_HEIGHT:
+            yield (
+                f"--camera.width ({self.camera.width}) and --camera.height ({self.camera.height}) must be at least "
+                f"{LEAST_WIDTH} and {LEAST_HEIGHT} pixels: the networks' first kernel is that large"
             )
         try:
             self.task.check_camera(self.camera)

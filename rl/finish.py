@@ -30,7 +30,7 @@ def finish(run: Run, console: Console) -> Path:
         navsim.WorldError: for a world file that cannot be used.
     """
     config = run.config
-    worlds = worlds_from(config.eval_world)
+    worlds = worlds_from(run.with_its_worlds(config).eval_world)
     policies: dict[str, QValueActor | Baseline] = {f"D3QN-{config.model}": load_policy(run.directory)}
     policies |= {name: make_baseline(name, config.camera) for name in BASELINES}
     evaluations = []

@@ -92,8 +92,10 @@ class TrainingProgress:
         return tuple(sum(column) / len(column) for column in zip(*self._recent, strict=True))
 
     def state_dict(self) -> dict[str, Any]:
-        """Counters and recent outcomes; episodes under way are left out, as a resumed run begins new ones."""
+        """Counters, recent outcomes, and what the episodes under way have come to."""
         return {
+            "reward": self._reward.clone(),
+            "length": self._length.clone(),
             "step": self.step,
             "episodes": self.episodes,
             "seconds": self.seconds,
@@ -108,6 +110,12 @@ class TrainingProgress:
         self._recent.extend(tuple(entry) for entry in state_dict["recent"])
         self._losses.extend(state_dict["losses"])
         self._q.extend(state_dict["q"])
+        self._reward, self._length = state_dict["reward"].clone(), state_dict["length"].clone()
+
+    def abandon_episodes(self) -> None:
+        """Forgets the episodes under way: all robots begin new ones."""
+        self._reward.zero_()
+        self._length.zero_()
 
 
 class Clock:

@@ -2,31 +2,46 @@
 
 ::
 
-    config.json          every setting                    metrics.csv       one row each log interval
+    config.json          every setting, the format        metrics.csv       one row each log interval
     versions.json        of Python and the libraries      evaluations.csv   one row each evaluation
-    worlds/              the world files used             tensorboard/      the same curves for TensorBoard
+    worlds/              copies of the world files used   tensorboard/      the same curves for TensorBoard
     policy.pt            weights, best by evaluation      evaluation/       final evaluations, JSON
-    policy_last.pt       weights of the last step         checkpoints/      from which a run is resumed
+    policy_last.pt       weights of the last checkpoint   checkpoints/      from which a run is resumed
     report.html          the report
+
+``config.json`` is written last of what a run begins with: where it is, the run has begun, and everything is there.
+Generated rooms are not copied: the name of their source, with its seed, says them all.
 """
 
 from __future__ import annotations
 
 import csv
+import errno
+import fcntl
 import importlib.metadata
+import io
 import json
 import os
 import platform
+import re
+import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
+from warnings import warn
 
 import torch
 
+from navsim.worldfile import read_file
+from navsim.worldsource import is_generated
 from rl.config import TrainConfig
+
+FORMAT = 1
+"""Of a run's directory. Format 0, which does not say so, has no copies of worlds, and checkpoints of another kind."""
 
 METRICS = [
     *("step", "episodes", "seconds", "steps_per_second"),
@@ -44,6 +59,43 @@ class RunError(ValueError):
 
 
 @contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Tells in one sentence that a file of a run could not be written, the disk being full, say.
+
+    Raises:
+        RunError: in place of the system's errors, and those of ``torch.save``.
+    """
+    try:
+        yield
+    except OSError as error:
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+        raise _refused(path, error.strerror or str(error), full) from error
+    except RuntimeError as error:
+        if "inline_container" not in str(error) and "iostream" not in str(error):
+            raise
+        raise _refused(path, "the system took only a part of it", full=True) from error
+
+
+def _refused(path: Path, reason: str, full: bool) -> RunError:
+    place = next(parent for parent in path.absolute().parents if parent.exists())
+    free = "" if not full else f", {shutil.disk_usage(place).free / 2**20:,.1f} MiB are free there"
+    remedy = "make room" if full else "put that right"
+    return RunError(
+        f"{path} could not be written ({reason}{free}): the run has stopped, what was written before is intact; "
+        f"{remedy}, then go on with --resume"
+    )
+
+
+def flush_to_disk(path: Path) -> None:
+    """Has the system write a file's content, or a directory's list of names, to the disk, and waits for it."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+@contextmanager
 def atomic_write(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
     """A file that takes ``path``'s place when it is complete, and leaves no trace when it is not."""
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -58,9 +110,14 @@ def atomic_write(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
         os.umask(mask)
         os.chmod(name, 0o666 & ~mask)
         os.replace(name, path)
+        flush_to_disk(path.parent)
     except BaseException:
         Path(name).unlink(missing_ok=True)
         raise
+
+
+_TEMPORARY = re.compile(r"\..+\.[a-z0-9_]{8}")
+"""Names of the files that ``atomic_write`` leaves where the process is killed meanwhile."""
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -71,34 +128,48 @@ def write_json(path: Path, value: Any) -> None:
 
 
 class Table:
-    """A CSV file that grows by rows, and can be cut back to a step when a run is resumed."""
+    """A CSV file that grows by rows."""
 
     def __init__(self, path: Path, columns: list[str]) -> None:
         self.path, self.columns = path, columns
 
-    def append(self, row: Mapping[str, Any]) -> None:
-        """Adds a row; keys that are not columns are an error."""
-        is_new = not self.path.exists()
-        with self.path.open("a", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, self.columns)
-            if is_new:
-                writer.writeheader()
-            writer.writerow({key: _short(value) for key, value in row.items()})
+    def append(self, row: Mapping[str, Any]) -> dict[str, str]:
+        """Adds a row, and returns it as ``rows`` will; keys that are not columns are an error.
+
+        Raises:
+            RunError: if the file cannot be written.
+        """
+        text = {key: str(_short(value)) if value is not None else "" for key, value in row.items()}
+        with writing(self.path):
+            is_new = not self.path.exists()
+            with self.path.open("a", newline="", encoding="utf-8") as file:
+                writer = csv.DictWriter(file, self.columns)
+                if is_new:
+                    writer.writeheader()
+                writer.writerow(text)
+        return text
 
     def rows(self) -> list[dict[str, str]]:
-        """All rows, as text."""
+        """All rows, as text, but for a last one that was not written to its end."""
         if not self.path.exists():
             return []
-        with self.path.open(newline="", encoding="utf-8") as file:
-            return list(csv.DictReader(file))
+        with self.path.open(newline="", encoding="utf-8", errors="replace") as file:
+            complete, _, _ = file.read().rpartition("\n")
+        return list(csv.DictReader(io.StringIO(complete)))
 
-    def truncate_after(self, step: int) -> None:
-        """Drops the rows beyond ``step``: they belong to what a resumed run does again."""
-        kept = [row for row in self.rows() if int(row["step"]) <= step]
-        with atomic_write(self.path) as file:
+    def replace(self, rows: Sequence[Mapping[str, str]]) -> None:
+        """Makes these all the rows; without any, there is no file.
+
+        Raises:
+            RunError: if the file cannot be written.
+        """
+        if not rows:
+            self.path.unlink(missing_ok=True)
+            return
+        with writing(self.path), atomic_write(self.path) as file:
             writer = csv.DictWriter(file, self.columns)
             writer.writeheader()
-            writer.writerows(kept)
+            writer.writerows(rows)
 
 
 def _short(value: Any) -> Any:
@@ -122,16 +193,19 @@ class Run:
         """A new run's directory.
 
         Raises:
-            RunError: if one is there already.
+            RunError: if one is there already, or it cannot be written.
+            navsim.WorldError: for a world file that cannot be read.
         """
         run = cls(config.directory)
-        if run.exists:
-            raise RunError(
-                f"{run.directory} already holds a run; go on with it (--resume), or choose another directory (--out)"
-            )
-        run.directory.mkdir(parents=True, exist_ok=True)
-        write_json(run.directory / "versions.json", versions())
-        write_json(run.directory / "config.json", config.to_dict())
+        run.check_vacant()
+        with writing(run.directory):
+            run.directory.mkdir(parents=True, exist_ok=True)
+            write_json(run.directory / "versions.json", versions())
+            for source, copy in run._copies(config).items():
+                _, content = read_file(source)
+                with atomic_write(copy, "wb") as file:
+                    file.write(content)
+            write_json(run.directory / "config.json", {"format": FORMAT, **config.to_dict()})
         return run
 
     @classmethod
@@ -152,22 +226,138 @@ class Run:
         return (self.directory / "config.json").is_file()
 
     @property
+    def format(self) -> int:
+        """The format of the directory, at most ``FORMAT``.
+
+        Raises:
+            RunError: if it cannot be read, or is newer than this version of the library.
+        """
+        return self._read()[0]
+
+    @property
     def config(self) -> TrainConfig:
         """The run's settings.
 
         Raises:
             RunError: if they cannot be read.
         """
+        _, values = self._read()
+        try:
+            return TrainConfig.from_dict(values)
+        except (ValueError, TypeError) as error:
+            raise RunError(f"{self.directory / 'config.json'} cannot be used: {error}") from error
+
+    def _read(self) -> tuple[int, dict[str, Any]]:
         path = self.directory / "config.json"
         try:
-            return TrainConfig.from_dict(json.loads(path.read_text(encoding="utf-8")))
-        except (OSError, ValueError, TypeError) as error:
+            values = json.loads(path.read_text(encoding="utf-8"))
+            found = values.pop("format", 0)
+        except (OSError, ValueError, TypeError, AttributeError) as error:
             raise RunError(f"{path} cannot be used: {error}") from error
+        if not isinstance(found, int) or not 0 <= found <= FORMAT:
+            raise RunError(
+                f"{path} is of format {found!r}, and this version of navsim-rl reads formats up to {FORMAT}: install "
+                "the version that versions.json beside it names, or a newer one"
+            )
+        return found, values
+
+    def check_vacant(self) -> None:
+        """Raises :class:`RunError` if the directory holds a run."""
+        if self.exists:
+            raise RunError(
+                f"{self.directory} already holds a run; go on with it (--resume), or choose another directory (--out)"
+            )
+
+    def check_resumable(self, config: TrainConfig) -> None:
+        """Raises :class:`RunError` unless the run can be gone on with, with these settings."""
+        if self.format < FORMAT:
+            raise RunError(
+                f"{self.directory} was written by an earlier version of navsim-rl, whose runs can be evaluated but not "
+                "gone on with; choose another directory (--out) to begin anew"
+            )
+        begun, asked = (settings_of(one) for one in (self.config, config))
+        changed = [name for name, value in begun.items() if value != asked[name]]
+        if changed:
+            raise RunError(
+                f"{self.directory} was begun with other settings ({', '.join(changed)}), and a run keeps its settings; "
+                "leave them out to go on with it, or choose another directory (--out) to begin anew"
+            )
+
+    def with_its_worlds(self, config: TrainConfig) -> TrainConfig:
+        """The settings with the run's own copies in place of world files, which may have changed meanwhile.
+
+        Raises:
+            RunError: if a copy is missing.
+        """
+        if self.format < 1:
+            return config
+        copies = self._copies(config)
+        for copy in copies.values():
+            if not copy.is_file():
+                raise RunError(f"{copy} is missing, the run's copy of a world file; restore it")
+        own = {source: str(copy) for source, copy in copies.items()}
+        return replace(
+            config,
+            out=self.directory,
+            world=tuple(own.get(source, source) for source in config.world),
+            eval_world=own.get(config.eval_world, config.eval_world),
+        )
+
+    def _copies(self, config: TrainConfig) -> dict[str, Path]:
+        """Where the copy of each world file is; files of the same name are in directories of their own."""
+        copies: dict[str, Path] = {}
+        for source in (*config.world, config.eval_world):
+            if source not in copies and not is_generated(source):
+                name = Path(source).stem + ".yaml"
+                namesakes = sum(copy.name == name for copy in copies.values())
+                copies[source] = self.directory / "worlds" / (str(namesakes + 1) if namesakes else "") / name
+        return copies
+
+    @contextmanager
+    def claimed(self) -> Iterator[None]:
+        """Keeps every other process from training in the directory meanwhile.
+
+        Raises:
+            RunError: if one is training there, or there can be no such directory.
+        """
+        with writing(self.directory):
+            self.directory.mkdir(parents=True, exist_ok=True)
+            handle = os.open(self.directory, os.O_RDONLY)
+        try:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise RunError(
+                    f"another process is training in {self.directory}; wait for its end, or choose another directory "
+                    "(--out)"
+                ) from None
+            except OSError:
+                message = f"{self.directory} is on a file system without locks: train there with one process at a time"
+                warn(message, stacklevel=3)
+            yield
+        finally:
+            os.close(handle)
+
+    def remove_rubbish(self) -> None:
+        """Removes the temporary files of a process that was killed while it wrote."""
+        for place in (self.directory, *self.directory.glob("worlds/**"), self.directory / "evaluation"):
+            for path in place.glob(".*"):
+                if _TEMPORARY.fullmatch(path.name) and path.is_file():
+                    path.unlink()
 
     def save_policy(self, name: str, state_dict: Mapping[str, torch.Tensor]) -> None:
-        """Writes weights to ``NAME.pt``, atomically."""
-        with atomic_write(self.directory / f"{name}.pt", "wb") as file:
+        """Writes weights to ``NAME.pt``, atomically.
+
+        Raises:
+            RunError: if the file cannot be written.
+        """
+        path = self.directory / f"{name}.pt"
+        with writing(path), atomic_write(path, "wb") as file:
             torch.save({key: value.detach().cpu() for key, value in state_dict.items()}, file)
+
+    def remove_policy(self, name: str) -> None:
+        """Removes ``NAME.pt``, if it is there."""
+        (self.directory / f"{name}.pt").unlink(missing_ok=True)
 
     def load_policy(self, name: str) -> dict[str, torch.Tensor]:
         """Weights from ``NAME.pt``.
@@ -185,6 +375,11 @@ class Run:
             raise RunError(
                 f"{path} is damaged or not a file of weights ({first_line}); train again or restore it"
             ) from error
+
+
+def settings_of(config: TrainConfig) -> dict[str, Any]:
+    """What a run's settings are compared by: all but where the directory is, which may be moved."""
+    return {name: value for name, value in config.to_dict().items() if name != "out"}
 
 
 def versions() -> dict[str, str]:

@@ -3,33 +3,38 @@
 from __future__ import annotations
 
 import random
+import shutil
 import signal
 import threading
+import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
 import torch
 from rich.console import Console
 from tensordict import TensorDictBase
-from torchrl.checkpoint import Checkpoint, CheckpointRotation, GlobalRNGState
+from torchrl.checkpoint import Checkpoint, GlobalRNGState
 from torchrl.collectors import BaseCollector
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.record.loggers import TensorboardLogger
 
 from navsim.world import World
-from navsim.worldsource import worlds_from
+from navsim.worldsource import TRAINING_SEED, have_rooms_in_common, worlds_from
+from rl.checkpoints import Checkpoints, StateFile, step_of
 from rl.collect import explorer, make_collector, make_env
 from rl.config import TrainConfig
 from rl.env import NavEnv
 from rl.evaluation import Evaluation, evaluate, few_paths
+from rl.feasibility import check_feasible
 from rl.learner import Learner, number_format
 from rl.memory import keep_freed_memory
 from rl.progress import Clock, TrainingProgress, progress_bar
 from rl.replay import make_replay
-from rl.run import Run, RunError
+from rl.run import Run, settings_of, writing
 
 _PROBE_STATES = 256
 """Fixed states whose mean greatest Q-value is logged, as in figure 6.3 of the thesis."""
@@ -40,30 +45,54 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
 
     Args:
         config: the settings.
-        resume: go on from the last checkpoint in ``config.directory`` instead of beginning there. Episodes that were
-            under way begin anew.
+        resume: go on from the newest intact checkpoint in ``config.directory`` instead of beginning there; where none
+            has been written yet, begin anew. A synchronous run ends as if it had never been interrupted, bit for bit;
+            in an asynchronous one, episodes that were under way begin anew.
         console: where progress is shown; standard output by default.
 
     Returns:
-        the run, with its logs, weights and last checkpoint.
+        the run, with its logs, weights and checkpoints.
 
     Raises:
-        RunError: if the directory holds a run already, or none to resume.
+        ConfigError: for a run that cannot be done on this machine, or with these worlds.
+        RunError: if the directory holds a run already, or none to resume, or cannot be written to.
         navsim.WorldError: for a world file that cannot be used.
         rl.collect.CollectorError: if the process of an asynchronous collector has ended.
     """
+    console = console or Console()
+    run = Run(config.directory)
+    if resume:
+        run = Run.open(config.directory)
+        if config.autocast == "auto":  # chosen by a stopwatch when the run was begun, and written down
+            config = replace(config, autocast=run.config.autocast)
+        run.check_resumable(config)
+    else:
+        run.check_vacant()
+    check_feasible(run.with_its_worlds(config) if resume else config)
+    with run.claimed():
+        return _train(config, run, resume, console)
+
+
+def _train(config: TrainConfig, run: Run, resume: bool, console: Console) -> Run:
     keep_freed_memory()
     torch.set_num_threads(config.learner_threads)
     torch.manual_seed(config.seed)
     random.seed(config.seed)
-    if config.autocast == "auto":  # chosen by a stopwatch, so it is written down: a resumed run must not choose again
+    if config.autocast == "auto":
         config = replace(config, autocast="float32" if number_format("auto", config.device) is None else "bfloat16")
-    eval_worlds = worlds_from(config.eval_world)
-    with (console or Console()).status("arranging the rooms to train in"):
-        env = make_env(config)
+    seen = run.with_its_worlds(config) if resume else config
+    if have_rooms_in_common(config.world, [config.eval_world], TRAINING_SEED + config.seed):
+        console.print(f"{config.eval_world} is trained in and evaluated in: results will not tell of rooms never seen")
+    eval_worlds = worlds_from(seen.eval_world)
+    with console.status("arranging the rooms to train in"):
+        env = make_env(seen)
     learner = Learner(config)
-    run = Run.open(config.directory) if resume else Run.create(config)
+    if not resume:
+        run = Run.create(config)
 
+    checkpoints = Checkpoints(run.directory / "checkpoints", settings_of(config))
+    begun = _checkpoint_to_resume(run, checkpoints, console) if resume else None
+    skipped = step_of(begun) if begun is not None and config.collector == "async" else 0
     replay = make_replay(
         capacity=config.replay_capacity,
         height=config.camera.height,
@@ -79,34 +108,47 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
     probe = _probe_states(env.simulator.worlds, config)
     progress = TrainingProgress(config.num_envs)
     logs = _Logs(run, config)
-    checkpoint = Checkpoint(
-        learner=learner,
-        replay=replay,
-        exploration=exploration,
-        progress=progress,
-        logs=logs,
-        generators=GlobalRNGState(),
-        format="archive",  # its checksums tell damage, which would else go unnoticed
-    )
-    rotation = CheckpointRotation(run.directory / "checkpoints", keep_last=1)
-    if resume:
-        _restore(checkpoint, rotation)
-        env.set_seed(config.seed + progress.step)  # not once more the episodes that were played before
-        logs.truncate_after(progress.step)
-    clock = Clock(progress.seconds, progress.step)
-    log_due, eval_due, checkpoint_due, handover_due = (
-        _Every(interval, progress.step, config.total_steps)
-        for interval in (
-            config.log_interval,
-            config.eval_interval,
-            config.checkpoint_interval,
-            config.steps_per_handover,
-        )
-    )
     collector = make_collector(
-        env, policy, config, total_steps=config.total_steps - progress.step, seed=config.seed + progress.step
+        env, policy, config, total_steps=config.total_steps - skipped, seed=config.seed + skipped
     )
-    with _closing(collector), progress_bar(console) as bar, _interrupts_between_batches() as interrupts:
+    checkpoint = Checkpoint()
+    parts = {
+        "learner": learner,
+        "replay": replay,
+        "exploration": exploration,
+        "progress": progress,
+        "logs": logs,
+        "generators": GlobalRNGState(),
+    }
+    if config.collector == "sync":
+        parts["collector"] = collector
+    for name, part in parts.items():
+        checkpoint.register(name, part, adapter=StateFile(mapped=name == "replay"))
+
+    def save() -> None:
+        learner.hand_over()
+        logs.flush()
+        run.save_policy("policy_last", learner.actor.state_dict())
+        checkpoints.save(checkpoint, progress.step, logs.score)
+
+    with _closing(collector), logs, progress_bar(console) as bar, _interrupts_between_batches() as interrupts:
+        if begun is not None:
+            checkpoints.load(checkpoint, begun)
+            run.save_policy("policy_last", learner.actor.state_dict())
+            if config.collector == "async":
+                collector.update_policy_weights_()
+                progress.abandon_episodes()
+        logs.begin(progress)
+        clock = Clock(progress.seconds, progress.step)
+        log_due, eval_due, checkpoint_due, handover_due = (
+            _Every(interval, progress.step, config.total_steps)
+            for interval in (
+                config.log_interval,
+                config.eval_interval,
+                config.checkpoint_interval,
+                config.steps_per_handover,
+            )
+        )
         shown = bar.add_task("", total=config.total_steps, completed=progress.step, status="", speed="")
         for batch in collector:
             replay.extend(batch)
@@ -143,12 +185,23 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
                 logs.evaluation(_evaluate(learner, eval_worlds, config), learner, progress)
                 bar.update(shown, status=status)
             if checkpoint_due(progress.step):
-                learner.hand_over()
-                run.save_policy("policy_last", learner.actor.state_dict())
-                rotation.save(checkpoint, step=progress.step)
+                save()
+            elif interrupts:
+                bar.update(shown, status="interrupted: saving a checkpoint")
+                save()
             if interrupts:
                 raise KeyboardInterrupt
     return run
+
+
+def _checkpoint_to_resume(run: Run, checkpoints: Checkpoints, console: Console) -> Path | None:
+    """The checkpoint to go on from, all that a killed process left half written having been removed."""
+    run.remove_rubbish()
+    checkpoints.remove_rubbish()
+    begun = checkpoints.newest_intact(lambda sentence: console.print(sentence, soft_wrap=True))
+    if begun is None:
+        console.print(f"{run.directory} was interrupted before its first checkpoint: it begins anew", soft_wrap=True)
+    return begun
 
 
 @contextmanager
@@ -183,20 +236,6 @@ def _interrupts_between_batches() -> Iterator[list[int]]:
         signal.signal(signal.SIGINT, before)
 
 
-def _restore(checkpoint: Checkpoint, rotation: CheckpointRotation) -> None:
-    """Goes back to the last checkpoint; without one, nothing changes."""
-    files = sorted(rotation.directory.glob("checkpoint-*"))
-    if not files:
-        return
-    try:
-        checkpoint.load(files[-1])
-    except Exception as error:  # a damaged file raises as many types as there are formats in it
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise RunError(
-            f"{files[-1]} is damaged ({reason}); restore it, or delete it to train from the beginning"
-        ) from error
-
-
 class _Every:
     """Tells when the next multiple of an interval, or the end, has been reached."""
 
@@ -212,16 +251,61 @@ class _Every:
 
 
 class _Logs:
-    """Writes rows to the run's tables and to TensorBoard, and keeps the weights of the best evaluation."""
+    """Writes rows to the run's tables and to TensorBoard, and keeps the weights of the best evaluation.
+
+    All of it is part of every checkpoint, and written anew when a run is resumed: whatever a killed process had logged
+    beyond its last checkpoint, or half logged, is gone then.
+    """
 
     def __init__(self, run: Run, config: TrainConfig) -> None:
         self._run, self._config = run, config
-        self._tensorboard = TensorboardLogger("tensorboard", log_dir=str(run.directory))
+        self._tensorboard: TensorboardLogger | None = None
         self._best = (-1.0, -1.0)
+        self._best_weights: dict[str, torch.Tensor] = {}
+        self._latest = self._best
+        self._rows: dict[str, list[dict[str, str]]] = {"train": [], "evaluation": []}
+
+    def __enter__(self) -> _Logs:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._tensorboard is not None:
+            with suppress(OSError):  # what cannot be written has been told, or is in the tables as well
+                self._tensorboard.experiment.close()
+
+    @property
+    def score(self) -> float:
+        """Of the latest evaluation: success, then shorter paths; below zero before the first."""
+        success_rate, spl = self._latest
+        return success_rate + 1e-6 * spl
+
+    def begin(self, progress: TrainingProgress) -> None:
+        """Makes the files hold what has been logged so far: nothing, in a new run.
+
+        Raises:
+            RunError: if they cannot be written.
+        """
+        self._run.metrics.replace(self._rows["train"])
+        self._run.evaluations.replace(self._rows["evaluation"])
+        if self._best_weights:
+            self._run.save_policy("policy", self._best_weights)
+        else:
+            self._run.remove_policy("policy")
+        if progress.step == 0:
+            self._run.remove_policy("policy_last")
+        begun = time.time() - progress.seconds
+        with writing(self._run.directory / "tensorboard"):
+            shutil.rmtree(self._run.directory / "tensorboard", ignore_errors=True)
+            self._tensorboard = TensorboardLogger("tensorboard", log_dir=str(self._run.directory))
+            for group, rows in self._rows.items():
+                for row in rows:
+                    self._curves(group, row, begun + float(row["seconds"]))
+        self.flush()
 
     def metrics(self, row: dict[str, Any]) -> None:
-        self._run.metrics.append(row)
-        self._curves("train", row)
+        text = self._run.metrics.append(row)
+        self._rows["train"].append(text)
+        self._curves("train", text, time.time())
 
     def evaluation(self, result: Evaluation, learner: Learner, progress: TrainingProgress) -> None:
         row = {
@@ -235,28 +319,44 @@ class _Logs:
             "reward": result.mean_reward,
             "steps": result.mean_steps,
         }
-        self._run.evaluations.append(row)
-        self._curves("evaluation", row)
+        text = self._run.evaluations.append(row)
+        self._rows["evaluation"].append(text)
+        self._curves("evaluation", text, time.time())
+        self._latest = (result.success_rate, result.spl)
         # At equal success the shorter paths win; at equal paths the later weights.
-        if (result.success_rate, result.spl) >= self._best:
-            self._best = (result.success_rate, result.spl)
-            self._run.save_policy("policy", learner.actor.state_dict())
+        if self._latest >= self._best:
+            self._best = self._latest
+            self._best_weights = {name: weight.clone() for name, weight in learner.actor.state_dict().items()}
+            self._run.save_policy("policy", self._best_weights)
 
-    def _curves(self, group: str, row: dict[str, Any]) -> None:
-        for name, value in row.items():
-            if isinstance(value, float):
-                self._tensorboard.log_scalar(f"{group}/{name}", value, step=row["step"])
+    def _curves(self, group: str, row: dict[str, str], when: float) -> None:
+        assert self._tensorboard is not None
+        with writing(self._run.directory / "tensorboard"):
+            for name, value in row.items():
+                if value and name not in ("step", "world"):
+                    self._tensorboard.experiment.add_scalar(f"{group}/{name}", float(value), int(row["step"]), when)
 
-    def truncate_after(self, step: int) -> None:
-        self._run.metrics.truncate_after(step)
-        self._run.evaluations.truncate_after(step)
+    def flush(self) -> None:
+        """Has TensorBoard's curves written.
+
+        Raises:
+            RunError: if they cannot be.
+        """
+        assert self._tensorboard is not None
+        with writing(self._run.directory / "tensorboard"):
+            self._tensorboard.experiment.flush()
 
     def state_dict(self) -> dict[str, Any]:
-        return {"best": list(self._best)}
+        return {
+            "best": list(self._best),
+            "latest": list(self._latest),
+            "weights": self._best_weights,
+            "rows": self._rows,
+        }
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        success_rate, spl = state_dict["best"]
-        self._best = (success_rate, spl)
+        self._best, self._latest = (tuple(state_dict[name]) for name in ("best", "latest"))
+        self._best_weights, self._rows = state_dict["weights"], state_dict["rows"]
 
 
 def _evaluate(learner: Learner, worlds: Sequence[World], config: TrainConfig) -> Evaluation:
