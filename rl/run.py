@@ -200,6 +200,7 @@ class Run:
         run.check_vacant()
         with writing(run.directory):
             run.directory.mkdir(parents=True, exist_ok=True)
+            run.remove_rubbish()
             write_json(run.directory / "versions.json", versions())
             for source, copy in run._copies(config).items():
                 _, content = read_file(source)

@@ -129,7 +129,7 @@ def _train(config: TrainConfig, run: Run, resume: bool, console: Console) -> Run
         learner.hand_over()
         logs.flush()
         run.save_policy("policy_last", learner.actor.state_dict())
-        checkpoints.save(checkpoint, progress.step, logs.score)
+        checkpoints.save(checkpoint, progress.step, logs.take_score())
 
     with _closing(collector), logs, progress_bar(console) as bar, _interrupts_between_batches() as interrupts:
         if begun is not None:
@@ -262,7 +262,7 @@ class _Logs:
         self._tensorboard: TensorboardLogger | None = None
         self._best = (-1.0, -1.0)
         self._best_weights: dict[str, torch.Tensor] = {}
-        self._latest = self._best
+        self._latest = (-1.0, 0.0)
         self._rows: dict[str, list[dict[str, str]]] = {"train": [], "evaluation": []}
 
     def __enter__(self) -> _Logs:
@@ -273,10 +273,13 @@ class _Logs:
             with suppress(OSError):  # what cannot be written has been told, or is in the tables as well
                 self._tensorboard.experiment.close()
 
-    @property
-    def score(self) -> float:
-        """Of the latest evaluation: success, then shorter paths; below zero before the first."""
+    def take_score(self) -> float:
+        """What an evaluation since the last call has told: success, then shorter paths; −1 where there was none.
+
+        So of all checkpoints the best is one that the best evaluation is of, or else the next one after it.
+        """
         success_rate, spl = self._latest
+        self._latest = (-1.0, 0.0)
         return success_rate + 1e-6 * spl
 
     def begin(self, progress: TrainingProgress) -> None:
@@ -349,13 +352,13 @@ class _Logs:
     def state_dict(self) -> dict[str, Any]:
         return {
             "best": list(self._best),
-            "latest": list(self._latest),
             "weights": self._best_weights,
             "rows": self._rows,
         }
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        self._best, self._latest = (tuple(state_dict[name]) for name in ("best", "latest"))
+        success_rate, spl = state_dict["best"]
+        self._best = (success_rate, spl)
         self._best_weights, self._rows = state_dict["weights"], state_dict["rows"]
 
 
