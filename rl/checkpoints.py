@@ -99,7 +99,7 @@ class Checkpoints:
         Raises:
             RunError: if all are damaged.
         """
-        damaged = []
+        damaged: list[tuple[Path, str]] = []
         for path in reversed(self.paths()):
             damage = find_damage(path)
             if not damage:

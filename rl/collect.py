@@ -121,8 +121,10 @@ class ResumableCollector(Collector):
     """TorchRL's ``Collector`` over a ``NavEnv``, which goes on from a checkpoint as if nothing had happened.
 
     TorchRL's own ``state_dict`` leaves out the environment and the observation that the next action is for, because not
-    every environment can tell its state; this one can. It leaves out the policy, which is saved elsewhere.
+    every environment can tell its state; this one can. The policy is left out here, as it is saved elsewhere.
     """
+
+    _carrier: TensorDictBase
 
     def state_dict(self) -> OrderedDict:
         """Counters, the environment's state, and what the robots perceive; tensors and plain values only."""

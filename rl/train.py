@@ -266,12 +266,22 @@ class _Logs:
         self._rows: dict[str, list[dict[str, str]]] = {"train": [], "evaluation": []}
 
     def __enter__(self) -> _Logs:
+        # TensorBoard writes in a thread of its own. What goes wrong there is told where the next row is logged, or at
+        # the next checkpoint, and need not be printed with a traceback as well.
+        hook = self._hook = threading.excepthook
+
+        def told_elsewhere(failure: threading.ExceptHookArgs) -> None:
+            if failure.exc_type is None or not issubclass(failure.exc_type, OSError):
+                hook(failure)
+
+        threading.excepthook = told_elsewhere
         return self
 
     def __exit__(self, *_: object) -> None:
         if self._tensorboard is not None:
-            with suppress(OSError):  # what cannot be written has been told, or is in the tables as well
+            with suppress(OSError):
                 self._tensorboard.experiment.close()
+        threading.excepthook = self._hook
 
     def take_score(self) -> float:
         """What an evaluation since the last call has told: success, then shorter paths; −1 where there was none.
