@@ -116,11 +116,11 @@ def measure(kind: Kind, steps: int, exact: bool) -> dict[str, Any]:
         ``seconds``, ``parts`` (seconds), ``steady_steps_per_second`` (from a quarter of the run on), ``thesis_seconds``
         (400,000 steps at that rate), ``peak_megabytes`` of all processes together, ``updates``.
     """
-    from torchrl.checkpoint import CheckpointRotation
     from torchrl.collectors import AsyncCollector, Collector
     from torchrl.data import TensorDictReplayBuffer
 
     import rl.train
+    from rl.checkpoints import Checkpoints
     from rl.learner import Learner
     from rl.optimiser import SoftUpdateAtOnce
     from rl.stopwatch import stopwatch
@@ -133,7 +133,7 @@ def measure(kind: Kind, steps: int, exact: bool) -> dict[str, Any]:
         "target network": ((SoftUpdateAtOnce, "step"),),
         "hand over": ((AsyncCollector, "update_policy_weights_"),),
         "evaluate": ((rl.train, "_evaluate"),),
-        "checkpoint": ((CheckpointRotation, "save"),),
+        "checkpoint": ((Checkpoints, "save"),),
     }
     with tempfile.TemporaryDirectory() as directory, _peak_memory() as peak, stopwatch(parts) as spent:
         config = settings(kind, steps=steps, exact=exact, out=Path(directory) / "run")

@@ -47,10 +47,11 @@ def obstacles(config: TrainConfig) -> Iterator[str]:
         yield f"{place} is a file, so {config.directory} cannot be a run's directory; choose another (--out)"
     elif not os.access(place, os.W_OK | os.X_OK):
         yield f"{place} is not writable, so {config.directory} cannot be a run's directory; choose another (--out)"
-    sizes = (config.replay_capacity, config.batch_size, config.num_envs, config.steps_per_batch)
-    if min(sizes) < 1 or config.camera.width < 1 or config.camera.height < 1:
-        return  # of such a run nothing can be said
-    needed, available = memory_needed(config), available_memory()
+    try:
+        needed, size = memory_needed(config), checkpoint_size(config)
+    except (ValueError, ArithmeticError, RuntimeError):  # there is no such network, which its own check tells
+        return
+    available = available_memory()
     if available is not None and needed > available:
         yield (
             f"the run takes about {needed / _GIB:.1f} GiB of memory, most of it for --replay-capacity "
@@ -59,11 +60,11 @@ def obstacles(config: TrainConfig) -> Iterator[str]:
         )
     if place.is_dir():
         missing = KEPT + 1 - len(list((directory / "checkpoints").glob("checkpoint-*")))
-        wanted, free = max(1, missing) * checkpoint_size(config), shutil.disk_usage(place).free
+        wanted, free = max(1, missing) * size, shutil.disk_usage(place).free
         if wanted > free:
             yield (
                 f"{place} has {free / _GIB:.2f} GiB of free disk, and the run's checkpoints ({KEPT} are kept while "
-                f"another one is written, of {checkpoint_size(config) / _GIB:.2f} GiB each) still take "
+                f"another one is written, of {size / _GIB:.2f} GiB each) still take "
                 f"{wanted / _GIB:.2f} GiB; make room, choose another directory (--out), or lower --replay-capacity "
                 f"({config.replay_capacity})"
             )

@@ -81,8 +81,6 @@ def _train(config: TrainConfig, run: Run, resume: bool, console: Console) -> Run
     if config.autocast == "auto":
         config = replace(config, autocast="float32" if number_format("auto", config.device) is None else "bfloat16")
     seen = run.with_its_worlds(config) if resume else config
-    if have_rooms_in_common(config.world, [config.eval_world], TRAINING_SEED + config.seed):
-        console.print(f"{config.eval_world} is trained in and evaluated in: results will not tell of rooms never seen")
     eval_worlds = worlds_from(seen.eval_world)
     with console.status("arranging the rooms to train in"):
         env = make_env(seen)
@@ -92,6 +90,9 @@ def _train(config: TrainConfig, run: Run, resume: bool, console: Console) -> Run
 
     checkpoints = Checkpoints(run.directory / "checkpoints", settings_of(config))
     begun = _checkpoint_to_resume(run, checkpoints, console) if resume else None
+    if have_rooms_in_common(config.world, [config.eval_world], TRAINING_SEED + config.seed):
+        sentence = f"{config.eval_world} is trained in as well: evaluations there do not tell of rooms never seen"
+        console.print(sentence, soft_wrap=True)
     skipped = step_of(begun) if begun is not None and config.collector == "async" else 0
     replay = make_replay(
         capacity=config.replay_capacity,

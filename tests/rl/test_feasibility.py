@@ -1,0 +1,160 @@
+"""What is refused before a run begins, because it cannot be done here."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+
+from navsim.camera import DepthCamera
+from rl import feasibility
+from rl.cli import main
+from rl.config import LEAST_HEIGHT, LEAST_WIDTH, PRESETS, ConfigError, TrainConfig
+from rl.networks import D3QN
+from rl.train import train
+
+FAST = PRESETS["fast"]
+GIB = 2**30
+
+
+def obstacles(**settings) -> list[str]:
+    return list(feasibility.obstacles(replace(FAST, **settings)))
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_the_presets_can_be_done(preset):
+    feasibility.check_feasible(PRESETS[preset])
+
+
+def test_worlds_that_are_not_there_are_named():
+    missing, misspelt = obstacles(world=("complex_train", "rom.yaml"), eval_world="complex_evil")
+    assert missing.startswith("rom.yaml: there is no such world file; name a file or one of the shipped worlds")
+    assert misspelt == "complex_evil: there is no such world file; did you mean 'complex_eval'?"
+
+
+def test_a_run_that_exceeds_the_memory_is_refused_with_both_numbers():
+    (problem,) = obstacles(replay_capacity=10**9)[:1]
+    assert "the run takes about " in problem
+    assert "GiB of memory, most of it for --replay-capacity (1000000000) images of 80x64 pixels" in problem
+    assert "GiB are available; lower it, or make the images smaller" in problem
+
+
+def test_memory_that_just_suffices_is_enough(monkeypatch):
+    needed = feasibility.memory_needed(FAST)
+    monkeypatch.setattr(feasibility, "available_memory", lambda: needed)
+    assert obstacles() == []
+    monkeypatch.setattr(feasibility, "available_memory", lambda: needed - 1)
+    assert len(obstacles()) == 1
+    monkeypatch.setattr(feasibility, "available_memory", lambda: None)  # a system that does not say
+    assert obstacles() == []
+
+
+# Greatest resident sizes, measured with `fast`'s settings but for these; docs/reliability.md has the table.
+@pytest.mark.parametrize(
+    ("camera", "capacity", "measured"),
+    [((20, 12), 5_000, 0.439), ((80, 64), 20_000, 0.618), ((160, 128), 20_000, 1.109)],
+)
+def test_the_estimate_of_memory_is_a_little_above_what_was_measured(camera, capacity, measured):
+    config = replace(FAST, camera=DepthCamera(*camera), replay_capacity=capacity, num_envs=64)
+    assert measured < feasibility.memory_needed(config) / GIB < 1.35 * measured
+
+
+def test_an_asynchronous_collector_takes_a_second_process():
+    more = feasibility.memory_needed(replace(FAST, collector="async")) - feasibility.memory_needed(FAST)
+    assert 0.4 * GIB < more < 0.8 * GIB
+
+
+def test_a_control_group_limits_the_memory(tmp_path):
+    own = tmp_path / "groups" / "slice" / "job"
+    own.mkdir(parents=True)
+    (own / "memory.max").write_text("max\n")
+    for name, content in {"max": "3000", "current": "2500", "stat": "anon 2000\ninactive_file 400\n"}.items():
+        (own.parent / f"memory.{name}").write_text(content)
+    process = tmp_path / "cgroup"
+    process.write_text("0::/slice/job\n")
+    assert list(feasibility._left_in_groups(tmp_path / "groups", process)) == [900]
+
+
+def test_a_control_group_of_the_first_version_limits_the_memory(tmp_path):
+    group = tmp_path / "groups" / "memory"
+    group.mkdir(parents=True)
+    (group / "memory.limit_in_bytes").write_text("3000")
+    (group / "memory.usage_in_bytes").write_text("2900")
+    (group / "memory.stat").write_text("total_inactive_file 0\n")
+    process = tmp_path / "cgroup"
+    process.write_text("5:devices:/x\n4:cpu,memory:/the/host/calls/it/so\n")
+    assert list(feasibility._left_in_groups(tmp_path / "groups", process)) == [100]
+
+
+def test_a_disk_without_room_for_the_checkpoints_is_refused(tmp_path, monkeypatch):
+    size = feasibility.checkpoint_size(FAST)
+
+    def free(count: int):
+        return lambda place: SimpleNamespace(free=count)
+
+    monkeypatch.setattr("rl.feasibility.shutil.disk_usage", free(4 * size))
+    assert obstacles(out=tmp_path / "run") == []
+    monkeypatch.setattr("rl.feasibility.shutil.disk_usage", free(4 * size - 1))
+    (problem,) = obstacles(out=tmp_path / "run")
+    assert problem.startswith(f"{tmp_path} has 2.31 GiB of free disk")
+    assert "(3 are kept while another one is written, of 0.58 GiB each) still take 2.31 GiB; make room" in problem
+    for step in (1, 2, 3):  # a resumed run has most of them already
+        (tmp_path / "run" / "checkpoints" / f"checkpoint-{step}").mkdir(parents=True)
+    monkeypatch.setattr("rl.feasibility.shutil.disk_usage", free(size))
+    assert obstacles(out=tmp_path / "run") == []
+
+
+def test_a_directory_that_cannot_be_written_is_refused(tmp_path, monkeypatch):
+    (tmp_path / "file").touch()
+    (problem,) = obstacles(out=tmp_path / "file" / "run")
+    assert problem.startswith(f"{tmp_path / 'file'} is a file, so {tmp_path / 'file' / 'run'} cannot be a run's")
+    monkeypatch.setattr("rl.feasibility.os.access", lambda path, mode: False)  # root may write anywhere
+    (problem,) = obstacles(out=tmp_path / "run")
+    assert problem.startswith(f"{tmp_path} is not writable, so {tmp_path / 'run'} cannot be a run's directory")
+
+
+def test_images_smaller_than_the_first_kernel_are_refused():
+    D3QN(height=LEAST_HEIGHT, width=LEAST_WIDTH)
+    with pytest.raises(ConfigError, match=r"--camera.width \(13\) and --camera.height \(10\) must be at least 14 and"):
+        TrainConfig(camera=DepthCamera(width=LEAST_WIDTH - 1, height=LEAST_HEIGHT))
+    with pytest.raises(ConfigError, match=r"--camera.height \(9\)"):
+        TrainConfig(camera=DepthCamera(width=LEAST_WIDTH, height=LEAST_HEIGHT - 1))
+
+
+def test_training_refuses_before_anything_is_written(tmp_path):
+    with pytest.raises(ConfigError, match="complex_evil: there is no such world file"):
+        train(replace(FAST, eval_world="complex_evil", out=tmp_path / "run"))
+    assert not any(tmp_path.iterdir())
+
+
+def test_all_problems_are_told_together(tmp_path, capsys):
+    (tmp_path / "file").touch()
+    arguments = ["train", "--batch-size", "500", "--replay-capacity", "400", "--camera.height", "8", "--gamma", "2"]
+    arguments += ["--eval-world", "complex_evil", "--out", str(tmp_path / "file" / "run")]
+    assert main(arguments) == 2
+    problems = capsys.readouterr().err.splitlines()
+    for told in (
+        "--batch-size (500) must not exceed --replay-capacity (400)",
+        "--warmup-steps (5000) must lie between",
+        "--gamma must lie between 0 and 1; got 2.0",
+        "--camera.height (8) must be at least",
+        "complex_evil: there is no such world file",
+        f"{tmp_path / 'file'} is a file",
+    ):
+        assert sum(told in problem for problem in problems) == 1, told
+    assert len(problems) == 6
+
+
+def test_settings_without_sense_are_told_as_such(tmp_path, capsys):
+    arguments = ["--replay-capacity", "-1", "--num-envs", "0", "--atoms", "-3", "--out", str(tmp_path / "run")]
+    assert main(["train", *arguments]) == 2
+    told = capsys.readouterr().err
+    for sentence in ("--replay-capacity must be positive; got -1", "--num-envs must be positive", "--atoms must be"):
+        assert sentence in told
+    assert "GiB" not in told

@@ -1,0 +1,110 @@
+"""A run's directory: what lies in it, and runs of other versions."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from navsim.camera import DepthCamera
+from navsim.worldfile import load_world
+from rl.cli import main
+from rl.config import PRESETS, TrainConfig
+from rl.learner import make_actor
+from rl.policies import load_policy
+from rl.run import FORMAT, Run, RunError, write_json
+
+HALL = Path(__file__).with_name("hall.yaml")
+
+
+def config(out: Path, **settings) -> TrainConfig:
+    return replace(PRESETS["fast"], camera=DepthCamera(width=20, height=12), out=out, **settings)
+
+
+@pytest.fixture
+def run(tmp_path) -> Run:
+    run = Run.create(config(tmp_path / "run"))
+    torch.manual_seed(0)
+    run.save_policy("policy", make_actor(run.config).state_dict())
+    return run
+
+
+def test_a_run_says_its_format_settings_and_versions(run):
+    values = json.loads((run.directory / "config.json").read_text())
+    assert values.pop("format") == FORMAT == run.format
+    assert TrainConfig.from_dict(values) == run.config == config(run.directory)
+    assert {"python", "torch", "torchrl", "pymunk", "navsim-rl"} <= set(
+        json.loads((run.directory / "versions.json").read_text())
+    )
+
+
+def test_a_run_keeps_the_worlds_that_it_was_begun_with(tmp_path):
+    room = tmp_path / "rooms" / "hall.yaml"
+    room.parent.mkdir()
+    room.write_bytes(HALL.read_bytes())
+    world = ("complex_train", str(HALL), "generate:clutter,count=2")
+    settings = config(tmp_path / "run", world=world, eval_world=str(room))
+    run = Run.create(settings)
+    original = load_world(room)
+    room.unlink()  # whatever becomes of it
+    own = run.with_its_worlds(settings)
+    worlds = run.directory / "worlds"
+    assert own.world == (str(worlds / "complex_train.yaml"), str(worlds / "hall.yaml"), "generate:clutter,count=2")
+    assert own.eval_world == str(worlds / "2" / "hall.yaml")
+    assert load_world(own.world[0]) == load_world("complex_train")
+    assert load_world(own.eval_world) == original
+    assert own.directory == settings.directory
+    (worlds / "hall.yaml").unlink()
+    with pytest.raises(RunError, match=r"worlds/hall.yaml is missing, the run's copy of a world file; restore it"):
+        run.with_its_worlds(settings)
+
+
+def test_a_run_of_an_earlier_version_can_be_used_but_not_gone_on_with(run, capsys):
+    write_json(run.directory / "config.json", run.config.to_dict())
+    assert run.format == 0
+    load_policy(run.directory)
+    assert run.with_its_worlds(run.config) == run.config
+    assert main(["train", "--resume", "--out", str(run.directory)]) == 2
+    told = capsys.readouterr().err
+    assert told == (
+        f"{run.directory} was written by an earlier version of navsim-rl, whose runs can be evaluated but not gone on "
+        "with; choose another directory (--out) to begin anew\n"
+    )
+
+
+@pytest.mark.parametrize("newer", [FORMAT + 1, "2.0"])
+def test_a_run_of_a_later_version_says_what_to_install(run, capsys, newer):
+    write_json(run.directory / "config.json", {"format": newer, **run.config.to_dict(), "setting_to_come": 1})
+    for command in (["train", "--resume", "--out"], ["report"], ["evaluate", "--world", str(HALL), "--run"]):
+        arguments = [*command[:-1], str(run.directory)] if command[-1] == "--run" else [*command, str(run.directory)]
+        assert main(arguments) == 2
+        told = capsys.readouterr().err
+        assert f"{run.directory / 'config.json'} is of format {newer!r}, and this version of navsim-rl reads" in told
+        assert "install the version that versions.json beside it names, or a newer one" in told
+        assert len(told.splitlines()) == 1
+
+
+def test_processes_evaluate_a_policy_alike_to_the_byte(run, tmp_path):
+    (tmp_path / "open.yaml").write_text(HALL.read_text().split("starts:")[0] + "starts: random\ngoals: random\n")
+    processes = []
+    for number in (1, 2):
+        files = [str(tmp_path / f"{number}-{kind}.json") for kind in ("listed", "drawn")]
+        script = (
+            "from rl.cli import main\n"
+            f"main(['evaluate', {str(run.directory)!r}, '--world', {str(HALL)!r}, '--json', {files[0]!r}])\n"
+            f"main(['evaluate', {str(run.directory)!r}, '--world', {str(tmp_path / 'open.yaml')!r}, "
+            f"'--num-paths', '20', '--json', {files[1]!r}])\n"
+        )
+        surroundings = {**os.environ, "PYTHONHASHSEED": str(number), "OMP_NUM_THREADS": str(number)}
+        processes.append(subprocess.Popen([sys.executable, "-c", script], env=surroundings, stdout=subprocess.DEVNULL))
+    assert [process.wait(200) for process in processes] == [0, 0]
+    for kind in ("listed", "drawn"):
+        first, second = ((tmp_path / f"{number}-{kind}.json").read_bytes() for number in (1, 2))
+        assert json.loads(first)["paths"]
+        assert first == second
