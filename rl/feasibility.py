@@ -145,9 +145,10 @@ def _left_in_group(place: Path, limit: str, usage: str, cache: str) -> int | Non
 
 
 def _replay_size(config: TrainConfig) -> int:
+    transitions = min(config.replay_capacity, config.total_steps)
     # A step brings one image, an episode's first step another one; room for a 32nd more is made at a time.
-    images = 1.12 * config.replay_capacity * config.camera.width * config.camera.height
-    return int(images + _RECORD * config.replay_capacity)
+    images = 1.12 * transitions * config.camera.width * config.camera.height
+    return int(images + _RECORD * transitions)
 
 
 def _weights_size(config: TrainConfig) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import multiprocessing
 import os
@@ -19,9 +20,10 @@ import pytest
 import torch
 from rich.console import Console
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from torchrl.checkpoint import Checkpoint
 
 from navsim.camera import DepthCamera
-from rl.checkpoints import Checkpoints, find_damage, step_of
+from rl.checkpoints import Checkpoints, StateFile, find_damage, step_of
 from rl.config import PRESETS, TrainConfig
 from rl.learner import Learner
 from rl.run import Run, RunError, Table, settings_of, write_json
@@ -217,6 +219,31 @@ def test_only_one_process_trains_in_a_directory(tmp_path):
         pass
 
 
+def test_a_checkpoint_gets_its_name_when_all_of_it_is_on_the_disk(tmp_path, monkeypatch):
+    checkpoints = Checkpoints(tmp_path / "checkpoints", {})
+    flushed: set[str] = set()
+    fsync, rename = os.fsync, os.replace
+
+    def watched_fsync(handle):
+        flushed.add(os.readlink(f"/proc/self/fd/{handle}"))
+        fsync(handle)
+
+    def watched_rename(source, target):
+        if Path(target).name == "checkpoint-000000000007":
+            wanted = {source, *source.rglob("*")}
+            assert {str(path) for path in wanted} <= flushed
+            flushed.clear()
+        rename(source, target)
+
+    if not Path("/proc/self/fd").is_dir():
+        pytest.skip("this system does not tell which file a handle is of")
+    monkeypatch.setattr(os, "fsync", watched_fsync)
+    monkeypatch.setattr(os, "replace", watched_rename)
+    saved = checkpoints.save(Checkpoint().register("net", torch.nn.Linear(2, 3), adapter=StateFile()), 7, score=0.0)
+    assert flushed == {str(tmp_path / "checkpoints")}  # and then the name
+    assert find_damage(saved) == ""
+
+
 # Interrupted
 
 
@@ -241,6 +268,26 @@ def interrupt_at(monkeypatch: pytest.MonkeyPatch, update: int) -> None:
         return learn(self, sample)
 
     monkeypatch.setattr(Learner, "update", interrupted)
+
+
+def test_a_resumed_run_begins_with_the_weights_of_its_checkpoint(tmp_path, uninterrupted, monkeypatch):
+    settings = config(tmp_path / "run")
+    interrupt_at(monkeypatch, update=9)
+    with pytest.raises(KeyboardInterrupt):
+        said_by_training(settings)
+    monkeypatch.undo()
+    run = Run(settings.directory)
+    weights = {name: run.load_policy(name) for name in ("policy", "policy_last")}
+    for name in weights:  # as if the run had got further
+        shutil.copy(uninterrupted.directory / f"{name}.pt", run.directory)
+
+    def fails(self, sample):
+        raise RuntimeError("as soon as it learns")
+
+    monkeypatch.setattr(Learner, "update", fails)
+    with pytest.raises(RuntimeError, match="as soon as it learns"):
+        said_by_training(settings, resume=True)
+    assert_equal({name: run.load_policy(name) for name in weights}, weights)
 
 
 @pytest.mark.slow
@@ -417,6 +464,17 @@ def test_a_full_disk_ends_a_run_which_goes_on_when_there_is_room(small_disk, uni
     (small_disk / "filler").unlink()
     said_by_training(settings, resume=True)
     assert_same(Run(settings.directory), uninterrupted)
+
+
+def test_a_checkpoint_whose_checksums_do_not_fit_on_the_disk_leaves_nothing(tmp_path, monkeypatch):
+    def full(path):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("rl.checkpoints._seal", full)
+    checkpoint = Checkpoint().register("net", torch.nn.Linear(2, 3), adapter=StateFile())
+    with pytest.raises(RunError, match=r"checkpoint-000000000007 could not be written \(No space left on device"):
+        Checkpoints(tmp_path, {}).save(checkpoint, 7, score=0.0)
+    assert not any(tmp_path.iterdir())
 
 
 def test_a_file_that_may_not_grow_is_told_like_a_full_disk(tmp_path, uninterrupted, monkeypatch):
