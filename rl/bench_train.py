@@ -19,6 +19,7 @@ from typing import Any, Literal
 from rich.console import Console
 from rich.table import Table
 
+from navsim.processes import deaths_told, end_with_parent
 from rl.config import PRESETS, TrainConfig
 from rl.run import versions, write_json
 
@@ -73,6 +74,7 @@ def run(
 
     Raises:
         ValueError: for fewer steps than 512, and a file that holds something else.
+        navsim.processes.WorkerDeathError: if the process that trains is killed.
     """
     if steps < 512:
         raise ValueError(f"--steps must be at least 512, to have a rate at the end; got {steps}")
@@ -82,8 +84,13 @@ def run(
         key = f"{'exact' if exact else 'batch64'}-{kind}-{steps}"
         if key not in results["runs"]:
             with console.status(f"training with the {kind} collector, {steps:,} steps"):
-                pool = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
-                with pool:
+                pool = ProcessPoolExecutor(
+                    1,
+                    mp_context=multiprocessing.get_context("spawn"),
+                    initializer=end_with_parent,
+                    initargs=(os.getpid(),),
+                )
+                with deaths_told("that train", "run the command again: what is in its file is not measured anew"), pool:
                     results["runs"][key] = pool.submit(measure, kind, steps, exact).result()
             write_json(out, results)
     rows = {kind: results["runs"][f"{'exact' if exact else 'batch64'}-{kind}-{steps}"] for kind in collectors}

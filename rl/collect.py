@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-import multiprocessing
-import signal
-import traceback
 from collections import OrderedDict
-from collections.abc import Iterator
-from functools import partial
-from multiprocessing.connection import Connection
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -18,16 +12,15 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torch.utils._pytree import tree_map
-from torchrl.collectors import AsyncCollector, BaseCollector, Collector
+from torchrl.collectors import Collector
 from torchrl.modules import EGreedyModule
-from torchrl.weight_update import SharedMemWeightSyncScheme
 
 from navsim.rearrange import rearrange
 from navsim.world import World
 from navsim.worldsource import TRAINING_SEED, is_generated, worlds_from
+from rl.background import COLLECTOR_SETTINGS, BackgroundCollector, PersistentCollector
 from rl.config import TrainConfig
 from rl.env import NavEnv
-from rl.memory import keep_freed_memory
 
 
 def make_env(config: TrainConfig, *, seed: int | None = None) -> NavEnv:
@@ -94,8 +87,14 @@ def explorer(actor: TensorDictModuleBase, env: NavEnv, config: TrainConfig) -> T
 
 
 def make_collector(
-    env: NavEnv, policy: TensorDictModuleBase, config: TrainConfig, *, total_steps: int, seed: int | None = None
-) -> BaseCollector:
+    env: NavEnv,
+    policy: TensorDictModuleBase,
+    config: TrainConfig,
+    *,
+    total_steps: int,
+    seed: int | None = None,
+    replaced: Callable[[str], None] = lambda _: None,
+) -> ResumableCollector | PersistentCollector:
     """A collector of batches ``(N, T)`` of ``config.steps_per_batch`` transitions.
 
     Args:
@@ -104,17 +103,31 @@ def make_collector(
         config: the run's settings; ``config.collector`` chooses the kind.
         total_steps: transitions to collect before it ends, rounded up to whole batches.
         seed: of an asynchronous collector's environment and random actions; the settings' own by default.
+        replaced: is told when the process of an asynchronous collector has failed and another one has taken its place,
+            and its robots have begun new episodes.
+
+    Raises:
+        CollectorError: if the process of an asynchronous collector does not come to work.
     """
-    frames = {
-        "frames_per_batch": config.steps_per_batch,
-        "total_frames": math.ceil(total_steps / config.steps_per_batch) * config.steps_per_batch,
-    }
-    if config.collector == "async":
-        return BackgroundCollector(env, policy, seed=config.seed if seed is None else seed, **frames)
-    return ResumableCollector(env, policy, **frames, **_COLLECTOR_SETTINGS)
+    total_frames = math.ceil(total_steps / config.steps_per_batch) * config.steps_per_batch
+    if config.collector == "sync":
+        return ResumableCollector(
+            env, policy, frames_per_batch=config.steps_per_batch, total_frames=total_frames, **COLLECTOR_SETTINGS
+        )
 
+    def start(seed: int, frames: int) -> BackgroundCollector:
+        return BackgroundCollector(
+            env,
+            policy,
+            seed=seed,
+            frames_per_batch=config.steps_per_batch,
+            total_frames=frames,
+            timeout=config.worker_timeout,
+        )
 
-_COLLECTOR_SETTINGS = {"track_traj_ids": False, "use_buffers": False, "auto_register_policy_transforms": False}
+    return PersistentCollector(
+        start, seed=config.seed if seed is None else seed, total_frames=total_frames, replaced=replaced
+    )
 
 
 class ResumableCollector(Collector):
@@ -151,92 +164,3 @@ def _as_tensor(value: Any) -> Any:
 
 def _as_array(value: Any) -> Any:
     return value.numpy() if isinstance(value, torch.Tensor) else value
-
-
-class CollectorError(RuntimeError):
-    """The collecting process has come to an end that it should not have."""
-
-
-class BackgroundCollector(AsyncCollector):
-    """TorchRL's ``AsyncCollector``: one process that simulates the next batch while the learner works on the last one.
-
-    Back-pressure goes both ways: the process waits when the learner has not taken its batch yet, so it is never more
-    than two batches ahead, and the learner waits for batches, so that the ratio of updates to transitions is kept
-    whatever their speeds. Policy and shares of random actions are those of the last ``update_policy_weights_``, which
-    writes them where the process reads them.
-
-    What is different from TorchRL's: an exception in the process is told here, with its traceback, as well as its death
-    at any other hands; and Ctrl-C, which a terminal sends to every process, is left to the learner to heed.
-
-    Args:
-        env: whose worlds, robots and sensors the process's own environment has.
-        policy: the exploring policy.
-        seed: of the process's environment and random actions.
-        frames_per_batch: transitions in a batch.
-        total_frames: transitions in all.
-    """
-
-    def __init__(
-        self, env: NavEnv, policy: TensorDictModuleBase, *, seed: int, frames_per_batch: int, total_frames: int
-    ) -> None:
-        threads = torch.get_num_threads()
-        context = multiprocessing.get_context("spawn")
-        self._failures, failures = context.Pipe(duplex=False)
-        simulator = env.simulator
-        super().__init__(
-            partial(
-                NavEnv,
-                simulator.worlds,
-                simulator.num_robots,
-                camera=simulator.camera,
-                task=simulator.task,
-                robot=simulator.robot,
-                seed=seed,
-            ),
-            policy,
-            frames_per_batch=frames_per_batch,
-            total_frames=total_frames,
-            num_threads=threads,
-            collector_class=partial(_WorkerCollector, failures=failures, seed=seed),
-            auto_register_policy_transforms=False,
-            weight_sync_schemes={"policy": SharedMemWeightSyncScheme(sync=False)},
-        )
-        failures.close()
-
-    def iterator(self) -> Iterator[TensorDictBase]:
-        """Batches, in the order in which they were collected.
-
-        Raises:
-            CollectorError: if the process has ended.
-        """
-        try:
-            yield from super().iterator()
-        except RuntimeError as error:
-            raise CollectorError(self._obituary()) from error
-
-    def _obituary(self) -> str:
-        with contextlib.suppress(EOFError, OSError):
-            if self._failures.poll(1.0):
-                return f"the collecting process failed:\n{self._failures.recv()}"
-        (process,) = self.procs
-        code = None if process._closed else process.exitcode
-        how = f"by signal {-code}" if code is not None and code < 0 else f"with exit code {code}"
-        return f"the collecting process ended {how}, without saying why; was it killed, or the memory exhausted?"
-
-
-class _WorkerCollector(Collector):
-    """The collector inside a ``BackgroundCollector``'s process."""
-
-    def __init__(self, *args: Any, failures: Connection, seed: int, **settings: Any) -> None:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        keep_freed_memory()
-        torch.manual_seed(seed)
-        self._failures = failures
-        super().__init__(*args, **{**settings, **_COLLECTOR_SETTINGS})
-
-    def rollout(self) -> TensorDictBase:
-        try:
-            return super().rollout()
-        except Exception:
-            self._failures.send(traceback.format_exc())
-            raise

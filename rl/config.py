@@ -79,6 +79,8 @@ class Collection:
     """Whether collecting and learning take turns, bit-reproducibly, or run at once in two processes."""
     steps_per_handover: int = 64
     """Transitions between two handovers of the network to an asynchronous collector, or from a GPU."""
+    worker_timeout: float = 120.0
+    """Seconds without a sign of life after which the process of an asynchronous collector is replaced."""
 
 
 @dataclass(frozen=True)
@@ -180,7 +182,8 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
     def _problems(self):
         positive = (
             "total_steps num_envs steps_per_batch steps_per_update n_step batch_size replay_capacity learning_rate"
-            " hard_update_interval steps_per_handover epsilon_steps eval_interval log_interval checkpoint_interval"
+            " hard_update_interval steps_per_handover worker_timeout epsilon_steps eval_interval log_interval"
+            " checkpoint_interval"
         )
         for name in positive.split():
             value = getattr(self, name)

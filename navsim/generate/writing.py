@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from navsim.generate.rooms import RoomSettings
+from navsim.processes import deaths_told, end_with_parent
 from navsim.world import World
 from navsim.worldfile import dump_world, write_atomically
 
@@ -33,6 +34,7 @@ def write_rooms(
     Raises:
         ValueError: for numbers that cannot be used, files that are there already, and settings that no room was found
             for.
+        navsim.processes.WorkerDeathError: if one of the processes that make many rooms is killed.
     """
     if count < 1:
         raise ValueError(f"count must be at least 1; got {count}")
@@ -52,7 +54,12 @@ def _written(settings: RoomSettings, files: list[Path], first: int) -> Iterator[
         yield from map(write, indices, files)
         return
     # Fresh processes: one that is forked off a program with threads, as PyTorch's, may wait for a lock forever.
-    with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as processes:
+    remedy = f"remove the rooms in {files[0].parent}, make sure of memory, and run the command again"
+    context = multiprocessing.get_context("spawn")
+    with (
+        deaths_told("that make rooms", remedy),
+        ProcessPoolExecutor(mp_context=context, initializer=end_with_parent, initargs=(os.getpid(),)) as processes,
+    ):
         yield from processes.map(write, indices, files, chunksize=8)
 
 
