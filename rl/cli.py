@@ -20,12 +20,14 @@ from rich.console import Console
 from tyro.conf import DisallowNone, FlagCreatePairsOff, OmitArgPrefixes, Positional, PositionalMetavarFromFieldName, arg
 from tyro.extras import SubcommandApp
 
+from navsim.processes import WorkerDeathError
 from rl.cli_world import world_commands
 from rl.console import busy
 
 if TYPE_CHECKING:
     from rl.config import TrainConfig
 
+FAILURE = 1
 USAGE_ERROR = 2
 INTERRUPTED = 130
 
@@ -43,8 +45,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: what follows ``navsim`` on the command line; by default the process's own arguments.
 
     Returns:
-        the exit status: 0, or 2 for what the user can put right (told in a sentence on standard error), or 130 after
-        Ctrl-C. Mistakes of this library leave as exceptions.
+        the exit status: 0, or 2 for what the user can put right (told in a sentence on standard error), or 1 for what
+        has gone wrong on the way (told likewise: a process killed, numbers that are not finite), or 130 after Ctrl-C.
+        Mistakes of this library leave as exceptions.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL would tell of every buffer that it allocates
@@ -55,6 +58,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as interruption:
         print(str(interruption) or "interrupted", file=sys.stderr)
         return INTERRUPTED
+    except WorkerDeathError as error:
+        print(error, file=sys.stderr)
+        return FAILURE
     except (ValueError, OSError) as error:
         if not _is_for_the_user(error):
             raise
@@ -99,10 +105,11 @@ def _version() -> str:
 def train(*arguments: str) -> None:
     """Train a robot, evaluate it in a room it has never seen, and write a report."""
     config, resume = _training_settings(arguments)
-    from rl.collect import CollectorError
+    from rl.background import CollectorError
     from rl.finish import finish
     from rl.run import Run
     from rl.train import train
+    from rl.watch import NumbersError
 
     console = Console()
     again = shlex.join(["navsim", "train", "--resume", "--out", str(config.directory)])
@@ -112,7 +119,10 @@ def train(*arguments: str) -> None:
             finish(run, console)
     except CollectorError as error:
         print(f"{error}\nto go on from the last checkpoint: {again}", file=sys.stderr)
-        raise SystemExit(1) from error
+        raise SystemExit(FAILURE) from error
+    except NumbersError as error:
+        print(error, file=sys.stderr)
+        raise SystemExit(FAILURE) from error
     except KeyboardInterrupt:
         if not Run(config.directory).exists:
             raise

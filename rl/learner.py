@@ -72,19 +72,37 @@ class Learner:
 
         Returns:
             the loss, a scalar.
+
+        Raises:
+            FloatingPointError: for a loss or a gradient that is not finite; nothing has been learnt.
         """
         for group in self.optimiser.param_groups:
             group["lr"] = self.learning_rate
         seen = sample if self._learning is None else sample.to(self.config.device)
         loss = self.loss(seen)["loss"]
+        if not math.isfinite(value := float(loss.detach())):
+            raise FloatingPointError(f"the loss of {sample.numel()} transitions is {value}")
         loss.backward()
-        self.optimiser.step()
-        self.optimiser.zero_grad()
+        try:
+            self.optimiser.step()
+        except FloatingPointError as error:
+            raise FloatingPointError(self._where_gradient_is_not_finite() or str(error)) from error
+        finally:
+            self.optimiser.zero_grad()
         self.target_updater.step()
         self.updates += 1
         if seen is not sample:
             sample.update(seen.select("td_error", "chosen_action_value").cpu())
         return loss.detach()
+
+    def _where_gradient_is_not_finite(self) -> str:
+        names = [
+            name.rpartition("module.")[2]
+            for name, parameter in self.loss.named_parameters()
+            if parameter.grad is not None and not parameter.grad.isfinite().all()
+        ]
+        others = f" and {len(names) - 1} other parameters" if len(names) > 1 else ""
+        return f"the gradient of {names[0]}{others} is not finite" if names else ""
 
     def hand_over(self) -> None:
         """Makes ``actor`` what has been learnt."""

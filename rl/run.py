@@ -7,10 +7,11 @@
     worlds/              copies of the world files used   tensorboard/      the same curves for TensorBoard
     policy.pt            weights, best by evaluation      evaluation/       final evaluations, JSON
     policy_last.pt       weights of the last checkpoint   checkpoints/      from which a run is resumed
-    report.html          the report
+    report.html          the report                       warnings.txt      what was warned about, if anything
 
 ``config.json`` is written last of what a run begins with: where it is, the run has begun, and everything is there.
-Generated rooms are not copied: the name of their source, with its seed, says them all.
+Generated rooms are not copied: the name of their source, with its seed, says them all. Where numbers were not finite,
+``bad_batch-STEP.safetensors`` holds what they came from.
 """
 
 from __future__ import annotations
@@ -355,6 +356,16 @@ class Run:
         path = self.directory / f"{name}.pt"
         with writing(path), atomic_write(path, "wb") as file:
             torch.save({key: value.detach().cpu() for key, value in state_dict.items()}, file)
+
+    def note(self, text: str) -> None:
+        """Adds to ``warnings.txt``.
+
+        Raises:
+            RunError: if the file cannot be written.
+        """
+        path = self.directory / "warnings.txt"
+        with writing(path), path.open("a", encoding="utf-8") as file:
+            file.write(f"{text}\n")
 
     def remove_policy(self, name: str) -> None:
         """Removes ``NAME.pt``, if it is there."""

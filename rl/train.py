@@ -7,7 +7,7 @@ import shutil
 import signal
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -18,14 +18,14 @@ import torch
 from rich.console import Console
 from tensordict import TensorDictBase
 from torchrl.checkpoint import Checkpoint, GlobalRNGState
-from torchrl.collectors import BaseCollector
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.record.loggers import TensorboardLogger
 
 from navsim.world import World
 from navsim.worldsource import TRAINING_SEED, have_rooms_in_common, worlds_from
+from rl.background import CollectorError, PersistentCollector
 from rl.checkpoints import Checkpoints, StateFile, step_of
-from rl.collect import explorer, make_collector, make_env
+from rl.collect import ResumableCollector, explorer, make_collector, make_env
 from rl.config import TrainConfig
 from rl.env import NavEnv
 from rl.evaluation import Evaluation, evaluate, few_paths
@@ -35,6 +35,7 @@ from rl.memory import keep_freed_memory
 from rl.progress import Clock, TrainingProgress, progress_bar
 from rl.replay import make_replay
 from rl.run import Run, settings_of, writing
+from rl.watch import Watch
 
 _PROBE_STATES = 256
 """Fixed states whose mean greatest Q-value is logged, as in figure 6.3 of the thesis."""
@@ -57,7 +58,9 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
         ConfigError: for a run that cannot be done on this machine, or with these worlds.
         RunError: if the directory holds a run already, or none to resume, or cannot be written to.
         navsim.WorldError: for a world file that cannot be used.
-        rl.collect.CollectorError: if the process of an asynchronous collector has ended.
+        rl.background.CollectorError: if the process of an asynchronous collector has failed again and again. What was
+            learnt until then is in a checkpoint.
+        rl.watch.NumbersError: for an observation, a loss, a gradient or a weight that is not finite.
     """
     console = console or Console()
     run = Run(config.directory)
@@ -109,9 +112,24 @@ def _train(config: TrainConfig, run: Run, resume: bool, console: Console) -> Run
     probe = _probe_states(env.simulator.worlds, config)
     progress = TrainingProgress(config.num_envs)
     logs = _Logs(run, config)
+
+    def warn(text: str) -> None:
+        console.print(text, soft_wrap=True, markup=False, highlight=False)
+        run.note(text)
+
+    def replaced(text: str) -> None:
+        warn(f"step {progress.step:,}: {text}")
+        progress.abandon_episodes()
+
     collector = make_collector(
-        env, policy, config, total_steps=config.total_steps - skipped, seed=config.seed + skipped
+        env,
+        policy,
+        config,
+        total_steps=config.total_steps - skipped,
+        seed=config.seed + skipped,
+        replaced=replaced,
     )
+    watch = Watch(run, config, learner, progress, warn)
     checkpoint = Checkpoint()
     parts = {
         "learner": learner,
@@ -127,6 +145,7 @@ def _train(config: TrainConfig, run: Run, resume: bool, console: Console) -> Run
         checkpoint.register(name, part, adapter=StateFile(mapped=name == "replay"))
 
     def save() -> None:
+        watch.check_weights()
         learner.hand_over()
         logs.flush()
         run.save_policy("policy_last", learner.actor.state_dict())
@@ -151,13 +170,14 @@ def _train(config: TrainConfig, run: Run, resume: bool, console: Console) -> Run
             )
         )
         shown = bar.add_task("", total=config.total_steps, completed=progress.step, status="", speed="")
-        for batch in collector:
+        for batch in _saving_at_its_failure(collector, save):
+            watch.collected(batch)
             replay.extend(batch)
             exploration.step()
             progress.count(batch)
             while learner.updates < learner.updates_due(progress.step):
                 sample = replay.sample()
-                loss = learner.update(sample)
+                loss = watch.update(sample)
                 if config.prioritized:
                     replay.update_tensordict_priority(sample)
                 progress.learnt(loss, sample["chosen_action_value"])
@@ -171,6 +191,7 @@ def _train(config: TrainConfig, run: Run, resume: bool, console: Console) -> Run
             status = f"{progress.status()}  ε {float(exploration.eps.mean()):.2f}"
             bar.update(shown, completed=progress.step, status=status, speed=f"{speed:,.0f} steps/s")
             if log_due(progress.step):
+                watch.check_weights()
                 logs.metrics(
                     progress.row()
                     | {
@@ -181,6 +202,7 @@ def _train(config: TrainConfig, run: Run, resume: bool, console: Console) -> Run
                     }
                 )
             if eval_due(progress.step):
+                watch.check_weights()
                 learner.hand_over()
                 bar.update(shown, status="evaluating")
                 logs.evaluation(_evaluate(learner, eval_worlds, config), learner, progress)
@@ -205,8 +227,23 @@ def _checkpoint_to_resume(run: Run, checkpoints: Checkpoints, console: Console) 
     return begun
 
 
+def _saving_at_its_failure(
+    collector: ResumableCollector | PersistentCollector, save: Callable[[], None]
+) -> Iterator[TensorDictBase]:
+    """The collector's batches; when there can be no more of them, what has been learnt from the others is saved."""
+    something_new = False
+    try:
+        for batch in collector:
+            yield batch
+            something_new = True
+    except CollectorError:
+        if something_new:
+            save()
+        raise
+
+
 @contextmanager
-def _closing(collector: BaseCollector) -> Iterator[None]:
+def _closing(collector: ResumableCollector | PersistentCollector) -> Iterator[None]:
     """Ends a collector and its processes, whatever happens."""
     try:
         yield
