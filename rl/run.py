@@ -161,7 +161,7 @@ class Run:
         path = self.directory / "config.json"
         try:
             return TrainConfig.from_dict(json.loads(path.read_text(encoding="utf-8")))
-        except (OSError, ValueError, TypeError) as error:
+        except (OSError, ValueError, TypeError, RecursionError) as error:
             raise RunError(f"{path} cannot be used: {error}") from error
 
     def save_policy(self, name: str, state_dict: Mapping[str, torch.Tensor]) -> None:

@@ -30,6 +30,7 @@ from rl.memory import keep_freed_memory
 from rl.progress import Clock, TrainingProgress, progress_bar
 from rl.replay import make_replay
 from rl.run import Run, RunError
+from rl.safe_loading import nothing_executed_from
 
 _PROBE_STATES = 256
 """Fixed states whose mean greatest Q-value is logged, as in figure 6.3 of the thesis."""
@@ -189,7 +190,10 @@ def _restore(checkpoint: Checkpoint, rotation: CheckpointRotation) -> None:
     if not files:
         return
     try:
-        checkpoint.load(files[-1])
+        with nothing_executed_from(files[-1]):
+            checkpoint.load(files[-1])
+    except RunError:
+        raise
     except Exception as error:  # a damaged file raises as many types as there are formats in it
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise RunError(
