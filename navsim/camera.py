@@ -12,6 +12,9 @@ import numpy as np
 KINECT_VERTICAL_FOV_DEG = math.degrees(2.0 * math.atan(math.tan(math.radians(30.0)) * 480 / 640))
 """Vertical field of view of a 640x480 image of square pixels that is 60° wide, degrees (46.83)."""
 
+LARGEST_SIDE = 4096
+"""Pixels of an image's width or height; settings that come from a file may ask for anything."""
+
 
 class Mounts(NamedTuple):
     """How the cameras of N robots are mounted; they may differ in nothing else."""
@@ -89,6 +92,8 @@ class DepthCamera:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
                 raise ValueError(f"camera {name} must be a whole number of pixels, at least 1; got {value!r}")
+            if value > LARGEST_SIDE:
+                raise ValueError(f"camera {name} must be at most {LARGEST_SIDE} pixels; got {value!r}")
         for name in ("horizontal_fov_deg", "vertical_fov_deg"):
             if not 0.0 < getattr(self, name) < 180.0:
                 raise ValueError(f"camera {name} must lie between 0 and 180 degrees; got {getattr(self, name)!r}")

@@ -21,6 +21,7 @@ from typing import Any
 from torchrl.checkpoint import Checkpoint, CheckpointRotation, StateDictCheckpointAdapter
 
 from rl.run import RunError, flush_to_disk, writing
+from rl.safe_loading import nothing_executed_from
 
 KEPT = 3
 """Checkpoints on the disk: the last two, and the best by evaluation, which may be one of them."""
@@ -132,7 +133,8 @@ class Checkpoints:
                     f"{path} was written with other settings than {self.directory.parent / 'config.json'} holds "
                     f"({', '.join(unlike)}); restore the file that belongs to the run, or delete the checkpoint"
                 )
-            checkpoint.load(path)
+            with nothing_executed_from(path):
+                checkpoint.load(path)
         except RunError:
             raise
         except Exception as error:  # intact, but what it holds is not what this version's parts take

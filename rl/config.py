@@ -293,7 +293,7 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
             for name, part in parts.items():
                 if name in values:
                     values[name] = part(**{key: _untied(value) for key, value in values[name].items()})
-        except (TypeError, ValueError) as error:
+        except (AttributeError, TypeError, ValueError) as error:  # no mapping at all, unknown keys, wrong values
             raise ConfigError(f"settings of the {name} cannot be used: {error}") from error
         if "world" in values:
             values["world"] = tuple(values["world"])

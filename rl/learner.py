@@ -137,6 +137,12 @@ def make_actor(config: TrainConfig) -> QValueActor:
     return make_q_actor(config.model, height, width)
 
 
+def shapes_of_weights(config: TrainConfig) -> dict[str, torch.Tensor]:
+    """The weights of ``make_actor`` without their memory, for settings that a stranger may have made enormous."""
+    with torch.device("meta"):
+        return make_actor(config).state_dict()
+
+
 def make_loss(actor: QValueActor, config: TrainConfig) -> D3QNLoss:
     """The loss that the settings name, for an actor from ``make_actor``."""
     autocast = number_format(config.autocast, config.device)

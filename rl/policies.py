@@ -11,7 +11,7 @@ from torchrl.modules import QValueActor
 
 from rl.baselines import BASELINES, Baseline, make_baseline
 from rl.config import TrainConfig
-from rl.learner import make_actor
+from rl.learner import make_actor, shapes_of_weights
 from rl.pretrained import PREFIX, load_pretrained
 from rl.run import Run, RunError
 from rl.weights import misfit
@@ -57,14 +57,14 @@ def load_policy(run: str | os.PathLike[str], *, weights: Literal["best", "last"]
         return load_pretrained(str(run))[0]
     opened = Run.open(Path(run))
     config = opened.config
-    actor = make_actor(config)
     name = {"best": "policy", "last": "policy_last"}[weights]
     found = opened.load_policy(name)
-    reason = misfit(actor.state_dict(), found)
+    reason = misfit(shapes_of_weights(config), found)
     if reason:
         raise RunError(
             f"{opened.directory / name}.pt does not fit config.json beside it (model {config.model}, images of "
             f"{config.camera.width}x{config.camera.height}): {reason}; restore the file that belongs to the run"
         )
+    actor = make_actor(config)
     actor.load_state_dict(found)
     return actor.eval()

@@ -15,7 +15,7 @@ from safetensors.torch import save
 from torchrl.modules import QValueActor
 
 from rl.config import TrainConfig
-from rl.learner import make_actor
+from rl.learner import make_actor, shapes_of_weights
 from rl.run import Run, RunError, atomic_write
 from rl.weights import misfit
 
@@ -86,11 +86,11 @@ def read_policy(path: Path) -> tuple[QValueActor, TrainConfig]:
         raise RunError(f"{path} holds no packed policy of format 1: it was not written by pack_policy")
     try:
         config = TrainConfig.from_dict(json.loads(metadata["settings"]))
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, RecursionError) as error:
         raise RunError(f"{path} holds settings that cannot be used: {error}") from error
-    actor = make_actor(config)
-    reason = misfit(actor.state_dict(), weights)
+    reason = misfit(shapes_of_weights(config), weights)
     if reason:
         raise RunError(f"{path} holds weights that do not fit its settings: {reason}")
+    actor = make_actor(config)
     actor.load_state_dict(weights)
     return actor.eval(), config

@@ -254,7 +254,7 @@ class Run:
         try:
             values = json.loads(path.read_text(encoding="utf-8"))
             found = values.pop("format", 0)
-        except (OSError, ValueError, TypeError, AttributeError) as error:
+        except (OSError, ValueError, TypeError, AttributeError, RecursionError) as error:
             raise RunError(f"{path} cannot be used: {error}") from error
         if not isinstance(found, int) or not 0 <= found <= FORMAT:
             raise RunError(

@@ -56,6 +56,7 @@ def test_cameras_are_values():
         ({"width": 0}, "camera width must be a whole number of pixels, at least 1; got 0"),
         ({"width": 80.0}, "camera width must be a whole number of pixels, at least 1; got 80.0"),
         ({"height": -3}, "camera height must be a whole number of pixels, at least 1; got -3"),
+        ({"width": 4097}, "camera width must be at most 4096 pixels; got 4097"),
         ({"height": True}, "camera height must be a whole number of pixels, at least 1; got True"),
         ({"horizontal_fov_deg": 180.0}, "camera horizontal_fov_deg must lie between 0 and 180 degrees; got 180.0"),
         ({"vertical_fov_deg": 0.0}, "camera vertical_fov_deg must lie between 0 and 180 degrees; got 0.0"),

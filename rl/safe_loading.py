@@ -1,0 +1,90 @@
+"""Checkpoints from strangers: nothing that is in their files is executed.
+
+TorchRL keeps a replay's prefetched samples in a pickle, and TensorDict loads pickles that lie beside its memory maps; a
+pickle calls whatever it names. So while a checkpoint is loaded, pickles may hold plain data and name nothing.
+``torch.load`` with ``weights_only=True`` has a reader of its own, with a short list of what it may name.
+"""
+
+from __future__ import annotations
+
+import functools
+import sys
+import zipfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path, PurePath
+
+from rl.run import RunError
+
+_IMPORTING = ".tdc"
+"""Ending of TensorDict's consolidated files, whose metadata name modules to be imported."""
+
+_named: ContextVar[list[str] | None] = ContextVar("_named", default=None)
+"""What pickles have named since loading began; None where pickles are not looked at."""
+
+
+@contextmanager
+def nothing_executed_from(path: Path) -> Iterator[None]:
+    """Sees to it that loading a checkpoint executes nothing that is in it.
+
+    Args:
+        path: the checkpoint, a directory or an archive.
+
+    Raises:
+        RunError: for a checkpoint that would have something executed or imported, or that would unfold to more than
+            its own size. Whatever was loaded before the place at fault stays loaded.
+    """
+    _check_members(path)
+    _install()
+    named: list[str] = []
+    token = _named.set(named)
+    try:
+        yield
+    except Exception:
+        if not named:
+            raise
+    finally:
+        _named.reset(token)
+    if named:
+        raise RunError(
+            f"{path} would execute {named[0]}, and a checkpoint holds nothing to be executed: somebody has tampered with "
+            "it; delete it, and restore your own or train from the beginning"
+        )
+
+
+def _check_members(path: Path) -> None:
+    names: Iterable[str] = ()
+    if path.is_dir():
+        names = (file.name for file in path.rglob("*"))
+    elif zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+        # Members are stored as they are: those of an honest archive cannot be larger than it.
+        if sum(member.file_size for member in members) > path.stat().st_size:
+            raise RunError(
+                f"{path} would unfold to more than its own size, which no checkpoint does: somebody has tampered with "
+                "it; delete it, and restore your own or train from the beginning"
+            )
+        names = (member.filename for member in members)
+    for name in names:
+        if PurePath(name).suffix.lower() == _IMPORTING:
+            raise RunError(
+                f"{path} holds {name}, a kind of file that no checkpoint of this program has: somebody has tampered "
+                "with it; delete it, and restore your own or train from the beginning"
+            )
+
+
+@functools.cache
+def _install() -> None:
+    """Once, for hooks stay for as long as the process."""
+    sys.addaudithook(_refuse_names_in_pickles)
+
+
+def _refuse_names_in_pickles(event: str, arguments: tuple[object, ...]) -> None:
+    if event != "pickle.find_class":
+        return
+    named = _named.get()
+    if named is not None:
+        named.append(".".join(map(str, arguments)))
+        raise RuntimeError("a pickle in a checkpoint may name nothing")

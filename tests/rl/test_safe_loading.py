@@ -1,0 +1,262 @@
+"""Nothing in a file that is loaded is executed, whatever the file is: each of these would leave a mark if it were."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import shutil
+import zipfile
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import save_file
+from tensordict import TensorDict
+from test_train import QUIET, config
+from torchrl.checkpoint import Checkpoint
+
+from navsim.camera import DepthCamera
+from rl.config import ConfigError, TrainConfig
+from rl.learner import shapes_of_weights
+from rl.policies import find_policy, load_policy
+from rl.pretrained import read_policy
+from rl.replay import make_replay
+from rl.run import Run, RunError, write_json
+from rl.safe_loading import nothing_executed_from
+from rl.train import train
+
+
+class Mark:
+    """Unpickled, it makes a directory."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.path),)
+
+
+@pytest.fixture
+def hostile(tmp_path) -> bytes:
+    content = pickle.dumps({"queue": Mark(tmp_path / "mark")})
+    pickle.loads(content)
+    (tmp_path / "mark").rmdir()  # raises unless the pickle does what it is to do
+    return content
+
+
+@pytest.fixture(autouse=True)
+def no_mark(tmp_path):
+    yield
+    assert not (tmp_path / "mark").exists(), "something in a file was executed"
+
+
+def refusal(load, *arguments) -> str:
+    with pytest.raises(RunError) as caught:
+        load(*arguments)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+@pytest.fixture
+def run(tmp_path) -> Run:
+    return Run.create(TrainConfig(camera=DepthCamera(width=20, height=12), out=tmp_path / "run"))
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory) -> Path:
+    settings = config(tmp_path_factory.mktemp("trained") / "run", total_steps=160, eval_interval=160)
+    return train(settings, console=QUIET).directory
+
+
+# Policies
+
+
+@pytest.mark.parametrize("kind", ["pickle", "torch"])
+@pytest.mark.parametrize("weights", ["best", "last"])
+def test_a_pickle_in_place_of_a_policy_is_refused(run, tmp_path, hostile, kind, weights):
+    path = run.directory / {"best": "policy.pt", "last": "policy_last.pt"}[weights]
+    if kind == "torch":
+        torch.save({"weight": Mark(tmp_path / "mark")}, path)
+    else:
+        path.write_bytes(hostile)
+    message = refusal(lambda: load_policy(run.directory, weights=weights))
+    assert message.startswith(f"{path} is damaged or not a file of weights")
+    if weights == "best":
+        assert refusal(find_policy, str(run.directory)) == message
+
+
+def test_a_pickle_in_place_of_a_packed_policy_is_refused(tmp_path, hostile):
+    path = tmp_path / "policy.safetensors"
+    path.write_bytes(hostile)
+    assert refusal(read_policy, path).startswith(f"{path} cannot be read as a packed policy")
+    torch.save({"weight": Mark(tmp_path / "mark")}, path)
+    assert refusal(read_policy, path).startswith(f"{path} cannot be read as a packed policy")
+
+
+@pytest.mark.parametrize(
+    "text", ["[" * 100_000, "[1, 2]", "5", '{"camera": 5}', '{"camera": {"width": "x"}}', '{"world": 5}', "{", '"x"']
+)
+def test_settings_that_are_none_are_refused(run, tmp_path, text):
+    (run.directory / "config.json").write_text(text)
+    assert "cannot be used" in refusal(load_policy, run.directory)
+    path = tmp_path / "policy.safetensors"
+    save_file({"a": torch.zeros(1)}, path, metadata={"format": "1", "settings": text})
+    assert "settings that cannot be used" in refusal(read_policy, path)
+
+
+def test_settings_of_an_enormous_network_take_no_memory(run, tmp_path):
+    # Of 4096 x 4096 pixels: the first fully connected layers alone would take 64 GB.
+    settings = run.config.to_dict()
+    settings["camera"]["width"] = settings["camera"]["height"] = 4096
+    write_json(run.directory / "config.json", settings)
+    torch.save({"a": torch.zeros(1)}, run.directory / "policy.pt")
+    assert "does not fit" in refusal(load_policy, run.directory)
+    path = tmp_path / "policy.safetensors"
+    save_file({"a": torch.zeros(1)}, path, metadata={"format": "1", "settings": json.dumps(settings)})
+    assert "do not fit" in refusal(read_policy, path)
+
+
+def test_a_part_of_the_settings_that_is_no_mapping_is_told():
+    with pytest.raises(ConfigError, match="settings of the camera cannot be used"):
+        TrainConfig.from_dict({"camera": 5})
+
+
+def test_shapes_are_those_of_the_weights():
+    from rl.learner import make_actor
+
+    settings = TrainConfig(camera=DepthCamera(width=20, height=12))
+    weights = make_actor(settings).state_dict()
+    assert {name: value.shape for name, value in shapes_of_weights(settings).items()} == {
+        name: value.shape for name, value in weights.items()
+    }
+
+
+# Checkpoints
+
+
+def resumed(directory: Path) -> Run:
+    return train(Run.open(directory).config, resume=True, console=QUIET)
+
+
+def copied(trained: Path, to: Path) -> tuple[Path, Path]:
+    """A copy of a run, and its checkpoint."""
+    directory = Path(shutil.copytree(trained, to))
+    settings = json.loads((directory / "config.json").read_text())
+    write_json(directory / "config.json", settings | {"out": str(directory)})
+    (checkpoint,) = (directory / "checkpoints").glob("checkpoint-*")
+    return directory, checkpoint
+
+
+def put_in(archive: Path, members: dict[str, bytes], compression: int = zipfile.ZIP_STORED) -> None:
+    """Puts members into an archive, or in place of those that it has, and into the manifest."""
+    with zipfile.ZipFile(archive) as file:
+        content = {name: file.read(name) for name in file.namelist()}
+    manifest = json.loads(content["manifest.json"])
+    for name in members:
+        record = next(one for one in manifest["components"].values() if name.startswith(one["path"] + "/"))
+        record["files"] = sorted({*record["files"], name.removeprefix(record["path"] + "/")})
+    content = {**content, **members, "manifest.json": json.dumps(manifest).encode()}
+    with zipfile.ZipFile(archive, "w", compression) as file:
+        for name, data in content.items():
+            file.writestr(name, data)
+
+
+STACK = json.dumps({"_type": "<class 'tensordict.tensorclass.NonTensorStack'>", "data": "pickle.pkl", "device": None})
+DATA = json.dumps({"_type": "<class 'tensordict.tensorclass.NonTensorData'>"})
+
+
+@pytest.mark.parametrize(
+    ("component", "way"),
+    [
+        *(("learner", way) for way in ("stack", "data", "torch")),
+        *(("replay", way) for way in ("stack", "data", "torch", "prefetch")),
+        ("generators", "data"),
+    ],
+)
+def test_a_pickle_in_a_component_of_a_checkpoint_is_refused(tmp_path, trained, hostile, component, way):
+    directory, checkpoint = copied(trained, tmp_path / "run")
+    place = Checkpoint.manifest(checkpoint)["components"][component]["path"]
+    inside = {"replay": "storage"}.get(component, "state")
+    torch.save({"a": Mark(tmp_path / "mark")}, tmp_path / "saved")
+    members = {
+        "stack": {f"{place}/{inside}/meta.json": STACK.encode(), f"{place}/{inside}/pickle.pkl": hostile},
+        "data": {f"{place}/{inside}/meta.json": DATA.encode(), f"{place}/{inside}/other.pickle": hostile},
+        "torch": {
+            f"{place}/{'transform.t' if component == 'replay' else 'state.pt'}": (tmp_path / "saved").read_bytes()
+        },
+        "prefetch": {f"{place}/prefetch.pkl": hostile},
+    }[way]
+    put_in(checkpoint, members)
+    message = refusal(resumed, directory)
+    assert message.startswith(str(checkpoint))
+    assert way == "torch" or "would execute posix.mkdir" in message
+
+
+def test_a_pickle_in_place_of_a_checkpoint_is_refused(tmp_path, trained, hostile):
+    directory, checkpoint = copied(trained, tmp_path / "run")
+    checkpoint.write_bytes(hostile)
+    assert refusal(resumed, directory).startswith(f"{checkpoint} is damaged")
+
+
+def test_a_directory_in_place_of_a_checkpoint_is_looked_at_alike(tmp_path, trained, hostile):
+    directory, checkpoint = copied(trained, tmp_path / "run")
+    place = Checkpoint.manifest(checkpoint)["components"]["replay"]["path"]
+    with zipfile.ZipFile(checkpoint) as archive:
+        archive.extractall(checkpoint.with_suffix(""))
+    checkpoint.unlink()
+    (checkpoint.with_suffix("") / place / "prefetch.pkl").write_bytes(hostile)
+    assert "would execute posix.mkdir" in refusal(resumed, directory)
+
+
+def test_a_file_that_names_modules_to_import_is_refused(tmp_path, trained):
+    directory, checkpoint = copied(trained, tmp_path / "run")
+    place = Checkpoint.manifest(checkpoint)["components"]["learner"]["path"]
+    put_in(checkpoint, {f"{place}/state.tdc": b"anything"})
+    assert "state.tdc" in refusal(resumed, directory)
+
+
+def test_an_archive_that_unfolds_is_refused(tmp_path, trained):
+    directory, checkpoint = copied(trained, tmp_path / "run")
+    place = Checkpoint.manifest(checkpoint)["components"]["learner"]["path"]
+    put_in(checkpoint, {f"{place}/zeros.memmap": bytes(100 * 2**20)}, zipfile.ZIP_DEFLATED)
+    assert checkpoint.stat().st_size < 20 * 2**20
+    assert "unfold" in refusal(resumed, directory)
+
+
+def test_an_honest_checkpoint_is_loaded(tmp_path, trained):
+    directory, _ = copied(trained, tmp_path / "run")
+    resumed(directory)
+
+
+@pytest.mark.parametrize("format", ["archive", "directory"])
+def test_pickles_of_plain_data_are_loaded(tmp_path, format):
+    replay = make_replay(20, height=10, width=14, batch_size=4)
+    written = Checkpoint(replay=replay, module=torch.nn.Linear(2, 1), format=format)
+    stack = torch.zeros(2, 3, 4, 10, 14, dtype=torch.uint8)
+    seen, flag = {"depth": stack, "heading": torch.zeros(2, 3, 1)}, torch.zeros(2, 3, 1, dtype=torch.bool)
+    after = {**seen, "reward": torch.zeros(2, 3, 1), "done": flag, "terminated": flag}
+    replay.extend(TensorDict({**seen, "action": torch.zeros(2, 3, dtype=torch.int64), "next": after}, [2, 3]))
+    path = written.save(tmp_path / "checkpoint")
+    other = make_replay(20, height=10, width=14, batch_size=4)
+    with nothing_executed_from(path):
+        Checkpoint(replay=other, module=torch.nn.Linear(2, 1), format=format).load(path)
+    assert len(other) == len(replay) > 0
+
+
+def test_pickles_elsewhere_are_none_of_its_business(tmp_path):
+    with pytest.raises(RunError, match="would execute"), nothing_executed_from(tmp_path):
+        pickle.loads(pickle.dumps(Path("x")))
+    assert pickle.loads(pickle.dumps(Path("x"))) == Path("x")
+
+
+def test_what_is_swallowed_on_the_way_is_refused_all_the_same(tmp_path, hostile):
+    def load() -> None:
+        with nothing_executed_from(tmp_path):
+            try:
+                pickle.loads(hostile)
+            except RuntimeError:
+                pass
+
+    assert "would execute" in refusal(load)
