@@ -20,7 +20,6 @@ from rich.console import Console
 from tyro.conf import DisallowNone, FlagCreatePairsOff, OmitArgPrefixes, Positional, PositionalMetavarFromFieldName, arg
 from tyro.extras import SubcommandApp
 
-from navsim.processes import WorkerDeathError
 from rl.cli_world import world_commands
 from rl.console import busy
 
@@ -58,7 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as interruption:
         print(str(interruption) or "interrupted", file=sys.stderr)
         return INTERRUPTED
-    except WorkerDeathError as error:
+    except ChildProcessError as error:  # navsim.processes.WorkerDeathError, without what takes long to import
         print(error, file=sys.stderr)
         return FAILURE
     except (ValueError, OSError) as error:

@@ -81,7 +81,7 @@ def make_replay(
             raise ValueError(f"{name} of a replay must be at least 1; got {value}")
     if generator is None:
         generator = torch.Generator().manual_seed(int(torch.randint(2**63 - 1, ())))
-    storage = LazyTensorStorage(capacity)
+    storage = _ZeroedStorage(capacity)
     transforms: list[Transform] = [SharedFrames(storage, height, width, n_step=n_step, gamma=gamma)]
     if mirror:
         transforms.append(MirroredHalf())
@@ -92,6 +92,14 @@ def make_replay(
         batch_size=batch_size,
         generator=generator,
     )
+
+
+class _ZeroedStorage(LazyTensorStorage):
+    """Begins with zeros in place of whatever the memory held, which checkpoints would keep."""
+
+    def _init(self, *args: Any, **settings: Any) -> None:
+        super()._init(*args, **settings)
+        self._storage.zero_()
 
 
 class FrameStore:

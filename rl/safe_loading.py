@@ -1,19 +1,19 @@
 """Checkpoints from strangers: nothing that is in their files is executed.
 
-TorchRL keeps a replay's prefetched samples in a pickle, and TensorDict loads pickles that lie beside its memory maps; a
-pickle calls whatever it names. So while a checkpoint is loaded, pickles may hold plain data and name nothing.
-``torch.load`` with ``weights_only=True`` has a reader of its own, with a short list of what it may name.
+``torch.load`` with ``weights_only=True``, which reads the files that this program writes, has a reader of its own, with
+a short list of what it may name. But TorchRL reads whatever format it finds in a component's directory, and TensorDict
+loads pickles that lie beside its memory maps; a pickle calls whatever it names. So while a checkpoint is loaded,
+pickles may hold plain data and name nothing.
 """
 
 from __future__ import annotations
 
 import functools
 import sys
-import zipfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from pathlib import Path, PurePath
+from pathlib import Path
 
 from rl.run import RunError
 
@@ -29,11 +29,11 @@ def nothing_executed_from(path: Path) -> Iterator[None]:
     """Sees to it that loading a checkpoint executes nothing that is in it.
 
     Args:
-        path: the checkpoint, a directory or an archive.
+        path: the checkpoint, a directory.
 
     Raises:
-        RunError: for a checkpoint that would have something executed or imported, or that would unfold to more than
-            its own size. Whatever was loaded before the place at fault stays loaded.
+        RunError: for a checkpoint that would have something executed or imported. Whatever was loaded before the place
+            at fault stays loaded.
     """
     _check_members(path)
     _install()
@@ -48,30 +48,17 @@ def nothing_executed_from(path: Path) -> Iterator[None]:
         _named.reset(token)
     if named:
         raise RunError(
-            f"{path} would execute {named[0]}, and a checkpoint holds nothing to be executed: somebody has tampered with "
-            "it; delete it, and restore your own or train from the beginning"
+            f"{path} would execute {named[0]}, and a checkpoint holds nothing to be executed: somebody has tampered "
+            "with it; delete it, and restore your own or train from the beginning"
         )
 
 
 def _check_members(path: Path) -> None:
-    names: Iterable[str] = ()
-    if path.is_dir():
-        names = (file.name for file in path.rglob("*"))
-    elif zipfile.is_zipfile(path):
-        with zipfile.ZipFile(path) as archive:
-            members = archive.infolist()
-        # Members are stored as they are: those of an honest archive cannot be larger than it.
-        if sum(member.file_size for member in members) > path.stat().st_size:
+    for file in path.rglob("*"):
+        if file.suffix.lower() == _IMPORTING:
             raise RunError(
-                f"{path} would unfold to more than its own size, which no checkpoint does: somebody has tampered with "
-                "it; delete it, and restore your own or train from the beginning"
-            )
-        names = (member.filename for member in members)
-    for name in names:
-        if PurePath(name).suffix.lower() == _IMPORTING:
-            raise RunError(
-                f"{path} holds {name}, a kind of file that no checkpoint of this program has: somebody has tampered "
-                "with it; delete it, and restore your own or train from the beginning"
+                f"{path} holds {file.relative_to(path)}, a kind of file that no checkpoint of this program has: "
+                "somebody has tampered with it; delete it, and restore your own or train from the beginning"
             )
 
 

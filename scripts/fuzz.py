@@ -48,14 +48,22 @@ PICTURE = b"\n\0PICTURE\0\n"
 """What parts the two files of a map in an input."""
 
 TOKENS = [
-    *(b"0 -1 1e308 -1e308 1e-308 1e999 .nan .inf -.inf nan inf 1e9 1e4 10000 1e-6 0.1755 ~ null true random none").split(),
+    *(
+        b"0 -1 1e308 -1e308 1e-308 1e999 .nan .inf -.inf nan inf 1e9 1e4 10000 1e-6 0.1755 ~ null true random none"
+    ).split(),
     *(b"[] {} &a *a <<: !!python/object:os.system !!binary !!set !!omap --- ... ? - : , # ' \" | > % @ `").split(),
     *(b"box: cylinder: polygon: at: size: points: height: base: radius: yaw_deg: motion: path: hinge:").split(),
     *(b"swing_deg: speed_deg: speed: pushable: mass: repeat: circuit starts: goals: walls: name: format:").split(),
-    *(b"<model> </model> <link> <pose> </pose> <box> <include> <uri> <!DOCTYPE <!ENTITY &a; <![CDATA[ ]]> <!-- -->").split(),
+    *(
+        b"<model> </model> <link> <pose> </pose> <box> <include> <uri> <!DOCTYPE <!ENTITY &a; <![CDATA[ ]]> <!-- -->"
+    ).split(),
     *(b"image: resolution: origin: negate: mode: scale raw occupied_thresh: free_thresh: P5 P2 P6 IHDR IDAT").split(),
-    *(b"world: robot: obstacle: shape: linestring compound circle rectangle number: distribution: loop: behavior:").split(),
-    *(b"generate: density= size= count= seed= 999999999999 1e400 \xef\xbb\xbf \xff \0 \r \xc2\x85 \xe2\x80\xa8").split(),
+    *(
+        b"world: robot: obstacle: shape: linestring compound circle rectangle number: distribution: loop: behavior:"
+    ).split(),
+    *(
+        b"generate: density= size= count= seed= 999999999999 1e400 \xef\xbb\xbf \xff \0 \r \xc2\x85 \xe2\x80\xa8"
+    ).split(),
     b"9" * 400,
     b"[" * 60,
     b"<a>" * 120,
@@ -72,7 +80,7 @@ class Target(NamedTuple):
 
     seeds: Callable[[], Iterable[bytes]]
     run: Callable[[bytes, Path], str]
-    """Reads an input in a directory of its own; returns the refusal, empty for none. Whatever it raises is a finding."""
+    """Reads an input in a directory of its own; returns the refusal, empty for none. What it raises is a finding."""
     packages: tuple[str, ...]
     """Instrumented for coverage."""
     most_seconds: float = MOST_SECONDS
@@ -245,7 +253,9 @@ def _read_source(data: bytes, directory: Path) -> str:
 _YAML = ("navsim.worldfile", "navsim.world", "navsim.rules", "navsim.motion_rules", "navsim.polygon", "navsim.dynamics")
 TARGETS = {
     "world": Target(_world_seeds, _read_world, _YAML),
-    "use": Target(_world_seeds, _use_world, (*_YAML, "navsim.check", "navsim.oddities", "navsim.show", "navsim.task"), 10.0),
+    "use": Target(
+        _world_seeds, _use_world, (*_YAML, "navsim.check", "navsim.oddities", "navsim.show", "navsim.task"), 10.0
+    ),
     "schema": Target(_world_seeds, _check_schema, _YAML),
     "sdf": Target(_sdf_seeds, _read_sdf, ("navsim.convert", "navsim.polygon")),
     "ros-map": Target(_map_seeds, _read_map, ("navsim.convert", "navsim.polygon")),
@@ -411,7 +421,14 @@ def _work_with_atheris(watch: Watch, minutes: float, seed: int, directory: Path)
         watch.run(data)
 
     options = [f"-max_total_time={_whole_seconds(60.0 * minutes)}", f"-seed={seed + 1}", f"-max_len={LARGEST_INPUT}"]
-    options += ["-timeout=600", "-rss_limit_mb=0", "-print_final_stats=0", "-verbosity=0", f"-dict={dictionary}", f"-artifact_prefix={directory}/"]
+    options += [
+        "-timeout=600",
+        "-rss_limit_mb=0",
+        "-print_final_stats=0",
+        "-verbosity=0",
+        f"-dict={dictionary}",
+        f"-artifact_prefix={directory}/",
+    ]
     atheris.Setup([sys.argv[0], *options, str(corpus)], one_input, custom_mutator=mutate)
     atheris.Fuzz()
 
@@ -504,9 +521,7 @@ def main() -> None:
             answer = TARGETS[names[0]].run(options.replay.read_bytes(), Path(directory))
             print(f"{time.process_time() - begin:.2f} s, {_memory() / 2**20:.0f} MiB: {answer or 'taken'}")
         return
-    total = sum(
-        fuzz(name, options.minutes / len(names), options.seed, engine, options.findings) for name in names
-    )
+    total = sum(fuzz(name, options.minutes / len(names), options.seed, engine, options.findings) for name in names)
     found = sorted(options.findings.glob("*.txt"))
     print(f"{total} inputs with {engine}, {len(found)} findings" + (f" in {options.findings}" if found else ""))
     sys.exit(1 if found else 0)

@@ -34,9 +34,7 @@ def _wide_merges() -> str:
 
 
 def _ring(count: int, radius: float = 3.0) -> str:
-    corners = (
-        (radius * math.cos(a), radius * math.sin(a)) for a in (2.0 * math.pi * i / count for i in range(count))
-    )
+    corners = ((radius * math.cos(a), radius * math.sin(a)) for a in (2.0 * math.pi * i / count for i in range(count)))
     return ", ".join(f"[{x:.9f}, {y:.9f}]" for x, y in corners)
 
 
@@ -75,8 +73,12 @@ def _obstacle_of(**settings: object) -> str:
 WORLDS: dict[str, Callable[[], str | bytes]] = {
     "laughs": lambda: _laughs(12),
     "laughs as obstacles": lambda: (
-        ROOM + "obstacles: &a0\n  - &c {cylinder: {at: [1, 1], radius: 0.1, height: 1}}\n  - *c\nstarts: &a1 ["
-        + "*a0, " * 9 + "]\ngoals: [" + "*a1, " * 999 + "]\n"
+        ROOM
+        + "obstacles: &a0\n  - &c {cylinder: {at: [1, 1], radius: 0.1, height: 1}}\n  - *c\nstarts: &a1 ["
+        + "*a0, " * 9
+        + "]\ngoals: ["
+        + "*a1, " * 999
+        + "]\n"
     ),
     "merges": lambda: _merges(12),
     "wide merges": _wide_merges,
@@ -115,9 +117,7 @@ WORLDS: dict[str, Callable[[], str | bytes]] = {
     "10^5 starts and goals": lambda: (
         ROOM + "starts: [" + "[0, 0], " * 100_000 + "]\ngoals: [" + "[2, 2], " * 100_000 + "]\n"
     ),
-    "2000 starts and goals": lambda: (
-        ROOM + "starts: [" + "[0, 0], " * 2000 + "]\ngoals: [" + "[2, 2], " * 2000 + "]\n"
-    ),
+    "2000 starts and goals": lambda: ROOM + "starts: [" + "[0, 0], " * 2000 + "]\ngoals: [" + "[2, 2], " * 2000 + "]\n",
     "10^4 starts outside": lambda: ROOM + "starts: [" + "[9, 0], " * 10_000 + "]\n",
     "a way of 10^5 points": lambda: _obstacle_of(
         motion="{path: [[1, 1], " + "[1, 1.1], [1, 1], " * 50_000 + "], speed: 1}"
@@ -129,8 +129,7 @@ WORLDS: dict[str, Callable[[], str | bytes]] = {
         2000, "cylinder: {at: [1, 1], radius: 0.1, height: 1, pushable: {mass: 1}}"
     ),
     "a swing as long as a street": lambda: (
-        _room(10_000)
-        + "obstacles: [{box: {at: [2000, 0], size: [4000, 1], height: 1, "
+        _room(10_000) + "obstacles: [{box: {at: [2000, 0], size: [4000, 1], height: 1, "
         "motion: {hinge: [0, 0], swing_deg: [-360, 360], speed_deg: 0.01}}}]\n"
     ),
     "a swing of a polygon of many corners": lambda: _polygon(_star(400)).replace(
@@ -159,7 +158,10 @@ WORLDS: dict[str, Callable[[], str | bytes]] = {
 
 SHELL = "<sdf version='1.9'><world name='w'>{}</world></sdf>"
 _ENTITIES = [f"<!ENTITY {b} '{f'&{a};' * 10}'>" for a, b in itertools.pairwise("abcdefghijkl")]
-_CAN = "<collision name='c{0}'><geometry><cylinder><radius>0.1</radius><length>1</length></cylinder></geometry></collision>"
+_CAN = (
+    "<collision name='c{0}'><geometry><cylinder><radius>0.1</radius><length>1</length></cylinder></geometry>"
+    "</collision>"
+)
 
 
 def _body(content: str) -> str:
@@ -169,9 +171,7 @@ def _body(content: str) -> str:
 def _outline(points: str) -> str:
     pairs = points.strip("[]").split("], [")
     inner = "".join(f"<point>{pair.replace(',', '')}</point>" for pair in pairs)
-    return _body(
-        f"<collision name='c'><geometry><polyline>{inner}<height>1</height></polyline></geometry></collision>"
-    )
+    return _body(f"<collision name='c'><geometry><polyline>{inner}<height>1</height></polyline></geometry></collision>")
 
 
 def _nested_models(depth: int) -> str:
@@ -189,9 +189,7 @@ SDF: dict[str, Callable[[], str | bytes]] = {
         "<!DOCTYPE sdf [<!ENTITY a SYSTEM 'file:///etc/passwd'>]><sdf version='1.9'><world name='w'>&a;</world></sdf>"
     ),
     "an external document type": lambda: "<!DOCTYPE sdf SYSTEM 'http://127.0.0.1:9/x.dtd'><sdf version='1.9'/>",
-    "a parameter entity": lambda: (
-        "<!DOCTYPE sdf [<!ENTITY % a SYSTEM 'file:///dev/zero'> %a;]><sdf version='1.9'/>"
-    ),
+    "a parameter entity": lambda: "<!DOCTYPE sdf [<!ENTITY % a SYSTEM 'file:///dev/zero'> %a;]><sdf version='1.9'/>",
     "nesting": lambda: "<sdf version='1.9'>" + "<a>" * 1_000_000,
     "nested models": lambda: _nested_models(90),
     "a million elements": lambda: SHELL.format("<a/>" * 1_000_000),
@@ -222,11 +220,13 @@ SDF: dict[str, Callable[[], str | bytes]] = {
 
 IRSIM: dict[str, Callable[[], str | bytes]] = {
     "laughs": lambda: (
-        "x0: &a0 [0]\n" + "\n".join(f"x{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 12))
+        "x0: &a0 [0]\n"
+        + "\n".join(f"x{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 12))
         + "\nworld: {}\n"
     ),
     "merges": lambda: (
-        "x0: &a0 {a: 1}\n" + "\n".join(f"x{i}: &a{i} {{<<: [{', '.join([f'*a{i - 1}'] * 10)}]}}" for i in range(1, 12))
+        "x0: &a0 {a: 1}\n"
+        + "\n".join(f"x{i}: &a{i} {{<<: [{', '.join([f'*a{i - 1}'] * 10)}]}}" for i in range(1, 12))
         + "\nworld: {}\n"
     ),
     "wide merges": lambda: (

@@ -15,7 +15,8 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from navsim.camera import DepthCamera
 from navsim.worldsource import worlds_from
-from rl.collect import CollectorError, explorer, make_collector, make_env, training_worlds
+from rl.background import MOST_REPLACEMENTS, CollectorError, PersistentCollector
+from rl.collect import explorer, make_collector, make_env, training_worlds
 from rl.config import PRESETS
 from rl.env import NavEnv
 from rl.networks import make_q_actor
@@ -152,11 +153,12 @@ class FailingPolicy(TensorDictModuleBase):
         return tensordict.set("action", torch.full(tensordict.batch_size, 2))
 
 
-def test_a_background_collector_goes_on_by_itself_and_its_death_is_told():
+def test_a_background_collector_goes_on_by_itself_and_its_process_is_replaced():
     config = replace(CONFIG, collector="async", epsilon_start=0.0, epsilon_end=0.0)
     env = make_env(config)
     actor = make_q_actor("I", 12, 20)
-    collector = make_collector(env, explorer(actor, env, config), config, total_steps=3200)
+    told: list[str] = []
+    collector = make_collector(env, explorer(actor, env, config), config, total_steps=3200, replaced=told.append)
     (process,) = collector.procs
     try:
         batches = []
@@ -173,9 +175,11 @@ def test_a_background_collector_goes_on_by_itself_and_its_death_is_told():
         assert not (batches[0]["action"] == 6).all()
         assert (batches[-1]["action"] == 6).all()
         process.kill()
-        with pytest.raises(CollectorError, match="ended by signal 9"):
-            for _ in collector:
-                pass
+        count = 12 * 32 + sum(batch.numel() for batch in collector)
+        assert len(told) == 1
+        assert "ended by signal 9" in told[0]
+        assert f"(1 of at most {MOST_REPLACEMENTS})" in told[0]
+        assert count >= 3200
     finally:
         collector.shutdown(raise_on_error=False)
     assert not multiprocessing.active_children()
@@ -183,11 +187,53 @@ def test_a_background_collector_goes_on_by_itself_and_its_death_is_told():
 
 def test_an_exception_in_a_background_collector_is_told_with_its_traceback():
     config = replace(CONFIG, collector="async")
-    collector = make_collector(make_env(config), FailingPolicy(), config, total_steps=3200)
+    told: list[str] = []
+    collector = make_collector(make_env(config), FailingPolicy(), config, total_steps=3200, replaced=told.append)
     try:
-        with pytest.raises(CollectorError, match=r"(?s)Traceback.*ArithmeticError: the hundredth call"):
-            for _ in collector:
-                pass
+        for _ in collector:
+            if told:
+                break
+        assert "Traceback" in told[0]
+        assert "ArithmeticError: the hundredth call" in told[0]
     finally:
         collector.shutdown(raise_on_error=False)
     assert not multiprocessing.active_children()
+
+
+class FailingCollector:
+    """Yields a batch of ten, and fails; or fails at once when it is made."""
+
+    def __init__(self, at_once: bool) -> None:
+        self.is_shut_down = False
+        if at_once:
+            raise CollectorError("it does not come to work")
+
+    def __iter__(self):
+        yield torch.zeros(10)
+        raise CollectorError("it has failed")
+
+    def shutdown(self, **_) -> None:
+        self.is_shut_down = True
+
+
+def test_what_fails_again_and_again_is_given_up():
+    started, told = [], []
+
+    def start(seed: int, frames: int) -> FailingCollector:
+        started.append((seed, frames))
+        collector = FailingCollector(at_once=len(started) == 3)
+        collectors.append(collector)
+        return collector
+
+    collectors: list[FailingCollector] = []
+    collector = PersistentCollector(start, seed=5, total_frames=100, replaced=told.append)
+    batches = []
+    with pytest.raises(CollectorError, match="it is the 4th that has failed in this run"):
+        batches.extend(collector)
+    assert len(batches) == 3
+    assert [frames for _, frames in started] == [100, 90, 80, 80]
+    assert started[0][0] == 5
+    assert len({seed for seed, _ in started}) == 4
+    assert len(told) == 2
+    assert "it does not come to work" in told[1]
+    assert all(one.is_shut_down for one in collectors)
