@@ -81,13 +81,16 @@ def print_findings(report: Report, console: Console) -> None:
 
 def _underlined(line: str, finding: Finding, width: int) -> tuple[Text, Text]:
     """A line of the file with its number, and a line of carets below what is at fault; both fit into the terminal."""
-    line = "".join(character if character.isprintable() else " " for character in line)
     begin, end = finding.column - 1, max(finding.end_column - 1, finding.column)
     room = max(20, width - _MARGIN - 3)
+    # A line may be megabytes long; further away than this, nothing is shown.
+    start = max(0, begin - 4 * room)
+    line = "".join(one if one.isprintable() else " " for one in line[start : begin + 4 * room])
+    begin, end = begin - start, end - start
     first = 0
     while cell_len(line[first : min(end, begin + room // 2)]) > room - 2:
         first += 1
-    shown = "…" + line[first + 1 :] if first else line
+    shown = "…" + line[first + 1 :] if first or start else line
     if cell_len(shown) > room:
         while cell_len(shown) > room - 1:
             shown = shown[:-1]
