@@ -7,14 +7,12 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-import torch
-
 from navsim.errors import WorldError
 from navsim.worldfile import load_world
 from navsim.worldsource import is_generated
 from rl.checkpoints import KEPT
 from rl.config import ConfigError, TrainConfig
-from rl.learner import make_actor
+from rl.learner import shapes_of_weights
 from rl.networks import NUM_FRAMES
 
 _GIB = 2**30
@@ -152,6 +150,4 @@ def _replay_size(config: TrainConfig) -> int:
 
 
 def _weights_size(config: TrainConfig) -> int:
-    with torch.device("meta"):
-        actor = make_actor(config)
-    return sum(weight.numel() * weight.element_size() for weight in actor.parameters())
+    return sum(weight.numel() * weight.element_size() for weight in shapes_of_weights(config).values())

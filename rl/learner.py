@@ -97,7 +97,7 @@ class Learner:
 
     def _where_gradient_is_not_finite(self) -> str:
         names = [
-            name.rpartition("module.")[2]
+            name_in_network(name)
             for name, parameter in self.loss.named_parameters()
             if parameter.grad is not None and not parameter.grad.isfinite().all()
         ]
@@ -135,6 +135,11 @@ def make_actor(config: TrainConfig) -> QValueActor:
         returns = (config.least_return, config.greatest_return)
         return make_categorical_actor(config.model, height, width, atoms=config.atoms, value_range=returns)
     return make_q_actor(config.model, height, width)
+
+
+def name_in_network(name: str) -> str:
+    """A parameter's name in its network, of its name in a loss, such as ``value_network_params.module.0.module.``."""
+    return name.rpartition("module.")[2]
 
 
 def shapes_of_weights(config: TrainConfig) -> dict[str, torch.Tensor]:

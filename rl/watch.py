@@ -15,7 +15,7 @@ from torch import Tensor
 from navsim.robot import ACTIONS
 from navsim.task import Task
 from rl.config import TrainConfig
-from rl.learner import Learner
+from rl.learner import Learner, name_in_network
 from rl.progress import TrainingProgress
 from rl.run import Run, atomic_write, writing
 
@@ -191,15 +191,10 @@ def _learnt(learner: Learner) -> Iterator[tuple[str, Tensor]]:
     for name, values in learner.loss.state_dict().items():
         if values.is_floating_point():
             network = "the target network's" if name.startswith("target") else "the weight"
-            yield f"{network} {short_name(name)}", values
+            yield f"{network} {name_in_network(name)}", values
     for name, parameter in learner.loss.named_parameters():
         for moment, values in learner.optimiser.state.get(parameter, {}).items():
-            yield f"Adam's {moment} of {short_name(name)}", values
-
-
-def short_name(name: str) -> str:
-    """A parameter's name in its network, of its name in a loss, such as ``value_network_params.module.0.module.``."""
-    return name.rpartition("module.")[2]
+            yield f"Adam's {moment} of {name_in_network(name)}", values
 
 
 def _tensors(batch: TensorDictBase) -> dict[str, Tensor]:

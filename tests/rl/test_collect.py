@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import gc
 import itertools
 import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import pytest
 import torch
@@ -153,8 +160,9 @@ class FailingPolicy(TensorDictModuleBase):
         return tensordict.set("action", torch.full(tensordict.batch_size, 2))
 
 
-def test_a_background_collector_goes_on_by_itself_and_its_process_is_replaced():
-    config = replace(CONFIG, collector="async", epsilon_start=0.0, epsilon_end=0.0)
+def test_a_background_collector_goes_on_by_itself_and_its_process_is_replaced_when_it_dies_or_hangs():
+    config = replace(CONFIG, collector="async", epsilon_start=0.0, epsilon_end=0.0, worker_timeout=4.0)
+    before = set(os.listdir("/dev/shm"))
     env = make_env(config)
     actor = make_q_actor("I", 12, 20)
     told: list[str] = []
@@ -175,14 +183,23 @@ def test_a_background_collector_goes_on_by_itself_and_its_process_is_replaced():
         assert not (batches[0]["action"] == 6).all()
         assert (batches[-1]["action"] == 6).all()
         process.kill()
-        count = 12 * 32 + sum(batch.numel() for batch in collector)
-        assert len(told) == 1
-        assert "ended by signal 9" in told[0]
-        assert f"(1 of at most {MOST_REPLACEMENTS})" in told[0]
+        count, is_stopped = 12 * 32, False
+        for batch in collector:
+            count += batch.numel()
+            if told and not is_stopped:
+                os.kill(collector.procs[0].pid, signal.SIGSTOP)
+                is_stopped = True
         assert count >= 3200
+        assert len(told) == 2
+        assert "ended by signal 9" in told[0]
+        assert "hung: it gave no sign of life for 4 s (--worker-timeout)" in told[1]
+        assert f"(2 of at most {MOST_REPLACEMENTS})" in told[1]
     finally:
         collector.shutdown(raise_on_error=False)
     assert not multiprocessing.active_children()
+    del collector, process
+    gc.collect()
+    assert_shared_memory_is(before)
 
 
 def test_an_exception_in_a_background_collector_is_told_with_its_traceback():
@@ -198,6 +215,57 @@ def test_an_exception_in_a_background_collector_is_told_with_its_traceback():
     finally:
         collector.shutdown(raise_on_error=False)
     assert not multiprocessing.active_children()
+
+
+ORPHAN = """
+if __name__ == "__main__":
+    import time
+    from test_collect import CONFIG, explorer, make_collector, make_env, make_q_actor, replace
+
+    config = replace(CONFIG, collector="async")
+    env = make_env(config)
+    collector = make_collector(env, explorer(make_q_actor("I", 12, 20), env, config), config, total_steps=10**6)
+    next(iter(collector))
+    print(collector.procs[0].pid, flush=True)
+    time.sleep(600)
+"""
+
+
+def test_a_process_ends_with_the_one_that_was_killed_even_when_it_hangs(tmp_path):
+    script = tmp_path / "orphan.py"
+    script.write_text(ORPHAN)
+    before = set(os.listdir("/dev/shm"))
+    paths = [str(Path(__file__).parent), *sys.path]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
+    with subprocess.Popen([sys.executable, script], env=environment, stdout=subprocess.PIPE, text=True) as parent:
+        child = int(parent.stdout.readline())
+        assert not has_ended(child)
+        os.kill(child, signal.SIGSTOP)
+        parent.kill()
+    deadline = time.monotonic() + 15.0
+    while not has_ended(child) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    ended = has_ended(child)
+    if not ended:
+        os.kill(child, signal.SIGKILL)
+    assert ended
+    assert_shared_memory_is(before)
+
+
+def assert_shared_memory_is(before: set[str]) -> None:
+    """Nothing new is left; tests that run at the same time have theirs for a moment, too."""
+    deadline = time.monotonic() + 30.0
+    while not set(os.listdir("/dev/shm")) <= before and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert set(os.listdir("/dev/shm")) <= before
+
+
+def has_ended(process: int) -> bool:
+    """Whether a process is gone, or only waits for its new parent to ask for its status."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except FileNotFoundError:
+        return True
 
 
 class FailingCollector:

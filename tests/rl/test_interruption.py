@@ -12,49 +12,28 @@ import shutil
 import signal
 import subprocess
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 from rich.console import Console
+from small_runs import tiny_config
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from torchrl.checkpoint import Checkpoint
 
-from navsim.camera import DepthCamera
 from rl.checkpoints import Checkpoints, StateFile, find_damage, step_of
-from rl.config import PRESETS, TrainConfig
+from rl.config import TrainConfig
 from rl.learner import Learner
 from rl.run import Run, RunError, Table, settings_of, write_json
 from rl.train import train
 
-HALL = Path(__file__).with_name("hall.yaml")
 WALL_CLOCK = ("seconds", "steps_per_second")
 
 
 def config(out: Path, **settings: Any) -> TrainConfig:
-    small = replace(
-        PRESETS["fast"],
-        camera=DepthCamera(width=14, height=10),
-        world=(str(HALL),),
-        eval_world=str(HALL),
-        rearrangements=1,
-        total_steps=512,
-        num_envs=16,
-        steps_per_batch=32,
-        warmup_steps=128,
-        batch_size=16,
-        steps_per_update=32,
-        replay_capacity=384,  # full at the end: what a replay has not filled yet is whatever the memory held
-        log_interval=64,
-        eval_interval=192,
-        checkpoint_interval=96,
-        num_threads=1,
-        autocast="float32",
-        out=out,
-    )
-    return replace(small, **settings)
+    own = {"replay_capacity": 384, "eval_interval": 192, "checkpoint_interval": 96}
+    return tiny_config(out, **{**own, **settings})
 
 
 def said_by_training(settings: TrainConfig, **arguments: Any) -> str:

@@ -12,9 +12,10 @@ from pathlib import Path
 
 import pytest
 import torch
+from rich.console import Console
 from safetensors.torch import save_file
+from small_runs import small_config
 from tensordict import TensorDict
-from test_train import QUIET, config
 from torchrl.checkpoint import Checkpoint
 
 from navsim.camera import DepthCamera
@@ -67,8 +68,8 @@ def run(tmp_path) -> Run:
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory) -> Path:
-    settings = config(tmp_path_factory.mktemp("trained") / "run", total_steps=160, eval_interval=160)
-    return train(settings, console=QUIET).directory
+    settings = small_config(tmp_path_factory.mktemp("trained") / "run", total_steps=160, eval_interval=160)
+    return train(settings, console=Console(quiet=True)).directory
 
 
 # Policies
@@ -138,7 +139,7 @@ def test_shapes_are_those_of_the_weights():
 
 
 def resumed(directory: Path) -> Run:
-    return train(Run.open(directory).config, resume=True, console=QUIET)
+    return train(Run.open(directory).config, resume=True, console=Console(quiet=True))
 
 
 def copied(trained: Path, to: Path) -> tuple[Path, Path]:

@@ -14,44 +14,19 @@ from pathlib import Path
 import pytest
 import torch
 from rich.console import Console
+from small_runs import HALL, small_config
 
 from navsim.camera import DepthCamera
-from rl.config import PRESETS, TrainConfig
+from rl.config import PRESETS
 from rl.run import EVALUATIONS, METRICS, Run, RunError
 from rl.train import train
 
 QUIET = Console(quiet=True)
 
 
-HALL = Path(__file__).with_name("hall.yaml")
-
-
-def config(out: Path, **settings) -> TrainConfig:
-    small = replace(
-        PRESETS["fast"],
-        camera=DepthCamera(width=20, height=12),
-        eval_world=str(HALL),
-        rearrangements=2,
-        total_steps=768,
-        num_envs=4,
-        steps_per_batch=32,
-        warmup_steps=128,
-        batch_size=16,
-        steps_per_update=16,
-        replay_capacity=512,
-        log_interval=256,
-        eval_interval=384,
-        checkpoint_interval=384,
-        num_threads=1,
-        autocast="float32",
-        out=out,
-    )
-    return replace(small, **settings)
-
-
 @pytest.fixture(scope="module")
 def run(tmp_path_factory) -> Run:
-    return train(config(tmp_path_factory.mktemp("runs") / "first"), console=QUIET)
+    return train(small_config(tmp_path_factory.mktemp("runs") / "first"), console=QUIET)
 
 
 def weights(run: Run, name: str = "policy_last") -> torch.Tensor:
@@ -67,14 +42,14 @@ def test_a_run_leaves_what_it_promises(run):
     names = {path.name for path in run.directory.iterdir()}
     assert {"config.json", "versions.json", "policy.pt", "policy_last.pt", "checkpoints", "tensorboard"} <= names
     assert list((run.directory / "tensorboard").rglob("events.out.tfevents*"))
-    assert run.config == config(run.directory)
+    assert run.config == small_config(run.directory)
 
 
 @pytest.mark.parametrize("settings", [{}, {"prioritized": True}], ids=["evenly", "prioritized"])
 def test_the_same_seed_gives_the_same_run(tmp_path, settings):
-    first = train(config(tmp_path / "a", total_steps=384, **settings), console=QUIET)
-    second = train(config(tmp_path / "b", total_steps=384, **settings), console=QUIET)
-    other = train(config(tmp_path / "c", total_steps=384, seed=1, **settings), console=QUIET)
+    first = train(small_config(tmp_path / "a", total_steps=384, **settings), console=QUIET)
+    second = train(small_config(tmp_path / "b", total_steps=384, **settings), console=QUIET)
+    other = train(small_config(tmp_path / "c", total_steps=384, seed=1, **settings), console=QUIET)
     assert (weights(first) == weights(second)).all()
     assert not (weights(first) == weights(other)).all()
     kept = ["loss", "q_mean", "max_q", "reward"]
@@ -85,13 +60,13 @@ def test_the_same_seed_gives_the_same_run(tmp_path, settings):
 
 def test_a_finished_run_is_not_overwritten(run):
     with pytest.raises(RunError, match="already holds a run"):
-        train(config(run.directory), console=QUIET)
+        train(small_config(run.directory), console=QUIET)
 
 
 def test_an_interrupted_run_goes_on(tmp_path, monkeypatch):
     from rl.learner import Learner
 
-    settings = config(tmp_path / "run")
+    settings = small_config(tmp_path / "run")
     due = 28  # updates before step 576, between the checkpoint at 384 and the end
     update = Learner.update
 
@@ -116,7 +91,7 @@ def test_an_interrupted_run_goes_on(tmp_path, monkeypatch):
 
 def test_resuming_a_finished_run_changes_nothing(run):
     before = weights(run), run.metrics.rows(), run.evaluations.rows()
-    train(config(run.directory), resume=True, console=QUIET)
+    train(small_config(run.directory), resume=True, console=QUIET)
     assert (weights(run) == before[0]).all()
     assert run.metrics.rows() == before[1]
     assert run.evaluations.rows() == before[2]

@@ -15,13 +15,14 @@ import torch
 from rich.console import Console
 from safetensors import safe_open
 from safetensors.torch import load_file
+from small_runs import HALL, tiny_config
 from tensordict import TensorDict
 
 from navsim.camera import DepthCamera
 from navsim.task import Task
 from rl.categorical import CategoricalD3QNLoss
 from rl.cli import main
-from rl.config import PRESETS, TrainConfig
+from rl.config import TrainConfig
 from rl.env import NavEnv
 from rl.learner import Learner
 from rl.loss import D3QNLoss
@@ -29,32 +30,12 @@ from rl.run import Run
 from rl.train import train
 from rl.watch import NumbersError, return_bound
 
-HALL = Path(__file__).with_name("hall.yaml")
 UPDATES_BEFORE = 5  # the fifth update is at step 224, as is the second checkpoint; the first is at step 128
 
 
 def config(out: Path, **settings: Any) -> TrainConfig:
-    small = replace(
-        PRESETS["fast"],
-        camera=DepthCamera(width=14, height=10),
-        world=(str(HALL),),
-        eval_world=str(HALL),
-        rearrangements=1,
-        total_steps=512,
-        num_envs=16,
-        steps_per_batch=32,
-        warmup_steps=64,
-        batch_size=16,
-        steps_per_update=32,
-        replay_capacity=128,  # full at the first checkpoint that is looked into; what is not filled may hold anything
-        log_interval=64,
-        eval_interval=384,
-        checkpoint_interval=112,
-        num_threads=1,
-        autocast="float32",
-        out=out,
-    )
-    return replace(small, **settings)
+    own = {"warmup_steps": 64, "replay_capacity": 128, "eval_interval": 384, "checkpoint_interval": 112}
+    return tiny_config(out, **{**own, **settings})
 
 
 def ended_by_bad_numbers(settings: TrainConfig) -> str:
