@@ -10,8 +10,10 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from multiprocessing.synchronize import SemLock
 from pathlib import Path
 
 import pytest
@@ -160,9 +162,10 @@ class FailingPolicy(TensorDictModuleBase):
         return tensordict.set("action", torch.full(tensordict.batch_size, 2))
 
 
-def test_a_background_collector_goes_on_by_itself_and_its_process_is_replaced_when_it_dies_or_hangs():
+def test_a_background_collector_goes_on_by_itself_and_its_process_is_replaced_when_it_dies_or_hangs(monkeypatch):
     config = replace(CONFIG, collector="async", epsilon_start=0.0, epsilon_end=0.0, worker_timeout=4.0)
-    before = set(os.listdir("/dev/shm"))
+    names: list[str] = []
+    monkeypatch.setattr(SemLock, "_make_name", staticmethod(note_semaphores(names)))
     env = make_env(config)
     actor = make_q_actor("I", 12, 20)
     told: list[str] = []
@@ -199,7 +202,7 @@ def test_a_background_collector_goes_on_by_itself_and_its_process_is_replaced_wh
     assert not multiprocessing.active_children()
     del collector, process
     gc.collect()
-    assert_shared_memory_is(before)
+    assert_no_shared_memory_is_left(names, os.getpid())
 
 
 def test_an_exception_in_a_background_collector_is_told_with_its_traceback():
@@ -220,13 +223,15 @@ def test_an_exception_in_a_background_collector_is_told_with_its_traceback():
 ORPHAN = """
 if __name__ == "__main__":
     import time
-    from test_collect import CONFIG, explorer, make_collector, make_env, make_q_actor, replace
+    from test_collect import CONFIG, SemLock, explorer, make_collector, make_env, make_q_actor, note_semaphores, replace
 
+    names = []
+    SemLock._make_name = staticmethod(note_semaphores(names))
     config = replace(CONFIG, collector="async")
     env = make_env(config)
     collector = make_collector(env, explorer(make_q_actor("I", 12, 20), env, config), config, total_steps=10**6)
     next(iter(collector))
-    print(collector.procs[0].pid, flush=True)
+    print(collector.procs[0].pid, *names, flush=True)
     time.sleep(600)
 """
 
@@ -234,11 +239,11 @@ if __name__ == "__main__":
 def test_a_process_ends_with_the_one_that_was_killed_even_when_it_hangs(tmp_path):
     script = tmp_path / "orphan.py"
     script.write_text(ORPHAN)
-    before = set(os.listdir("/dev/shm"))
     paths = [str(Path(__file__).parent), *sys.path]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
     with subprocess.Popen([sys.executable, script], env=environment, stdout=subprocess.PIPE, text=True) as parent:
-        child = int(parent.stdout.readline())
+        child, *names = parent.stdout.readline().split()
+        child = int(child)
         assert not has_ended(child)
         os.kill(child, signal.SIGSTOP)
         parent.kill()
@@ -249,15 +254,35 @@ def test_a_process_ends_with_the_one_that_was_killed_even_when_it_hangs(tmp_path
     if not ended:
         os.kill(child, signal.SIGKILL)
     assert ended
-    assert_shared_memory_is(before)
+    assert_no_shared_memory_is_left(names, parent.pid)
 
 
-def assert_shared_memory_is(before: set[str]) -> None:
-    """Nothing new is left; tests that run at the same time have theirs for a moment, too."""
-    deadline = time.monotonic() + 30.0
-    while not set(os.listdir("/dev/shm")) <= before and time.monotonic() < deadline:
-        time.sleep(0.1)
-    assert set(os.listdir("/dev/shm")) <= before
+SHARED_MEMORY = Path("/dev/shm")
+
+
+def note_semaphores(names: list[str]) -> Callable[[], str]:
+    """A ``SemLock._make_name`` that notes the names; those of tests that run at the same time are not among them."""
+    make_name = SemLock._make_name
+
+    def noted() -> str:
+        names.append("sem." + make_name().removeprefix("/"))
+        return "/" + names[-1].removeprefix("sem.")
+
+    return noted
+
+
+def assert_no_shared_memory_is_left(names: list[str], process: int) -> None:
+    """Of the semaphores ``names``, and of PyTorch's files, which bear the number of the process that made them."""
+    deadline = time.monotonic() + 15.0
+    while (left := shared_memory_left(names, process)) and time.monotonic() < deadline:
+        time.sleep(0.1)  # the resource tracker clears up when the last process has gone
+    assert not left
+
+
+def shared_memory_left(names: list[str], process: int) -> list[str]:
+    assert names
+    torchs = [file.name for file in SHARED_MEMORY.glob(f"torch_{process}_*")]
+    return torchs + [name for name in names if (SHARED_MEMORY / name).exists()]
 
 
 def has_ended(process: int) -> bool:
