@@ -175,6 +175,7 @@ class BackgroundCollector(AsyncCollector):
                     robot=simulator.robot,
                     sensor=simulator.sensor,
                     randomization=simulator.randomization,
+                    frame_interval=env.frame_interval,
                     seed=seed,
                 ),
                 policy,

@@ -24,9 +24,9 @@ from torchrl.objectives import DQNLoss, SoftUpdate
 from navsim.camera import DepthCamera
 from navsim.robot import NUM_ACTIONS
 from rl.config import PRESETS, TrainConfig
-from rl.env import NUM_FRAMES
 from rl.learner import Learner
 from rl.memory import keep_freed_memory
+from rl.observation import NUM_FRAMES
 from rl.run import processor
 
 CONFIG = dataclasses.replace(PRESETS["fast"], loss_function="smooth_l1")

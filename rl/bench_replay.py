@@ -16,8 +16,8 @@ from tensordict import TensorDict
 from torchrl.data import LazyTensorStorage, ReplayBuffer, TensorDictReplayBuffer
 from torchrl.envs.transforms import CatFrames
 
-from rl.env import NUM_FRAMES
 from rl.memory import keep_freed_memory
+from rl.observation import NUM_FRAMES
 from rl.replay import make_replay
 from rl.run import processor
 

@@ -9,6 +9,7 @@ a squared error leaves beside obstacles profit from.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
 import torch
@@ -20,7 +21,8 @@ from torchrl.modules import QValueActor
 
 from navsim.robot import NUM_ACTIONS
 from rl.loss import D3QNLoss
-from rl.networks import D3QN, STREAM_WIDTH, Model, hidden_of_update
+from rl.networks import D3QN, STREAM_WIDTH, hidden_of_update
+from rl.observation import DEPTH_AND_HEADING, Input, Model, keys_of
 
 
 class CategoricalD3QN(D3QN):
@@ -30,6 +32,7 @@ class CategoricalD3QN(D3QN):
         model: ``"I"`` or ``"S"``, see ``D3QN``.
         height: of the depth images, pixels.
         width: of the depth images, pixels.
+        inputs: what it sees, see ``D3QN``.
         atoms: returns that are told apart, at least 2.
         value_range: the least and the greatest of them; they are evenly spaced.
 
@@ -48,6 +51,7 @@ class CategoricalD3QN(D3QN):
         model: Model = "I",
         height: int = 64,
         width: int = 80,
+        inputs: Collection[Input] = DEPTH_AND_HEADING,
         *,
         atoms: int = 51,
         value_range: tuple[float, float] = (-1.5, 2.5),
@@ -57,15 +61,15 @@ class CategoricalD3QN(D3QN):
                 f"a categorical head needs at least 2 atoms in a range of returns from less to more; got {atoms} atoms "
                 f"from {value_range[0]} to {value_range[1]}"
             )
-        super().__init__(model, height, width)
+        super().__init__(model, height, width, inputs)
         self.value = nn.Linear(STREAM_WIDTH, atoms)
         self.advantage = nn.Linear(STREAM_WIDTH, NUM_ACTIONS * atoms)
         self.reset_parameters()
         self.register_buffer("support", torch.linspace(*value_range, atoms), persistent=False)
 
-    def logits(self, depth: Tensor, heading: Tensor) -> Tensor:
+    def logits(self, depth: Tensor, heading: Tensor, command: Tensor | None = None) -> Tensor:
         """Unnormalised logarithms of the probabilities, ``(..., 7, atoms)``, for what ``forward`` takes."""
-        return self._logits(self.hidden(depth, heading)).reshape(*depth.shape[:-3], NUM_ACTIONS, -1)
+        return self._logits(self.hidden(depth, heading, command)).reshape(*depth.shape[:-3], NUM_ACTIONS, -1)
 
     def _logits(self, hidden: Tensor) -> Tensor:
         """``(B, 7, atoms)`` of hidden layers ``(1024, B)``."""
@@ -88,13 +92,14 @@ def make_categorical_actor(
     model: Model = "I",
     height: int = 64,
     width: int = 80,
+    inputs: Collection[Input] = DEPTH_AND_HEADING,
     *,
     atoms: int = 51,
     value_range: tuple[float, float] = (-1.5, 2.5),
 ) -> QValueActor:
     """``rl.make_q_actor`` with a categorical head; arguments and errors as for ``CategoricalD3QN``."""
-    network = CategoricalD3QN(model, height, width, atoms=atoms, value_range=value_range)
-    return QValueActor(network, in_keys=["depth", "heading"], spec=Categorical(NUM_ACTIONS))
+    network = CategoricalD3QN(model, height, width, inputs, atoms=atoms, value_range=value_range)
+    return QValueActor(network, in_keys=keys_of(inputs), spec=Categorical(NUM_ACTIONS))
 
 
 def project(probabilities: Tensor, returns: Tensor, support: Tensor) -> Tensor:

@@ -172,6 +172,7 @@ def evaluate(
         robot=config.robot,
         sensor=SensorModel() if ideal else config.sensor,
         randomization=config.randomization if randomized else None,
+        frame_interval=config.frame_interval,
         seed=seed,
         num_paths=num_paths,
         console=console,

@@ -41,6 +41,7 @@ def make_env(config: TrainConfig, *, seed: int | None = None) -> NavEnv:
         robot=config.robot,
         sensor=config.sensor,
         randomization=config.randomization,
+        frame_interval=config.frame_interval,
         seed=config.seed if seed is None else seed,
     )
 

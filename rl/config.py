@@ -16,9 +16,7 @@ from navsim.robot import Robot
 from navsim.sensor import SensorModel
 from navsim.task import Task
 from navsim.worldsource import check_sources, is_generated, short_name
-
-Model = Literal["I", "S"]
-
+from rl.observation import Input, Model, check_inputs
 
 LEAST_WIDTH, LEAST_HEIGHT = 14, 10
 """Of images, pixels: the size of the networks' first kernel (``rl.networks``)."""
@@ -45,6 +43,11 @@ class Experiment:
     """Where the other settings start from: "fast" learns sooner on two cores, "thesis" is Weideman's experiment."""
     model: Model = "I"
     """How the network gets the heading: "I" as a fifth image plane, "S" as a scalar beside the image's features."""
+    inputs: tuple[Input, ...] = ("depth", "heading")
+    """What the network sees: the thesis's two, or one of them alone (what is the other worth?), or "command" besides,
+    the speeds (v, ω) that the robot was last told."""
+    frame_interval: int = 1
+    """Steps from one depth image of the stack to the next: 3 makes the four images reach back 1.8 s, not 0.6 s."""
     world: tuple[str, ...] = ("complex_train",)
     """World files to train in, names of shipped worlds, or generated rooms such as
     "generate:clutter,density=0.11,count=200"; with several worlds, each episode draws one."""
@@ -183,7 +186,7 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
         positive = (
             "total_steps num_envs steps_per_batch steps_per_update n_step batch_size replay_capacity learning_rate"
             " hard_update_interval steps_per_handover worker_timeout epsilon_steps eval_interval log_interval"
-            " checkpoint_interval"
+            " checkpoint_interval frame_interval"
         )
         for name in positive.split():
             value = getattr(self, name)
@@ -203,6 +206,10 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
                 check_sources(source)
             except WorldError as error:
                 yield str(error)
+        try:
+            check_inputs(self.inputs)
+        except ValueError as error:
+            yield f"--{error}"
         if self.rearrangements < 0:
             yield f"--rearrangements must not be negative; got {self.rearrangements}"
         if self.rearrangements and not self.random_paths and not all(map(is_generated, self.world)):
@@ -295,8 +302,9 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
                     values[name] = part(**{key: _untied(value) for key, value in values[name].items()})
         except (AttributeError, TypeError, ValueError) as error:  # no mapping at all, unknown keys, wrong values
             raise ConfigError(f"settings of the {name} cannot be used: {error}") from error
-        if "world" in values:
-            values["world"] = tuple(values["world"])
+        for name in ("world", "inputs"):
+            if name in values:
+                values[name] = tuple(values[name])
         if values.get("out") is not None:
             values["out"] = Path(values["out"])
         return cls(**values)

@@ -70,6 +70,7 @@ def drive(
         camera=config.camera,
         task=config.task,
         robot=config.robot,
+        frame_interval=config.frame_interval,
         seed=seed,
         num_paths=1,
         console=console,

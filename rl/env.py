@@ -18,9 +18,7 @@ from navsim.sensor import SensorModel
 from navsim.simulator import Observation, Simulator
 from navsim.task import Task
 from navsim.worldsource import TRAINING_SEED, WorldSource, worlds_from
-
-NUM_FRAMES = 4
-"""Depth images in the stack that a policy sees."""
+from rl.observation import NUM_FRAMES, history_length, stack_of
 
 
 class NavEnv(EnvBase):
@@ -32,6 +30,7 @@ class NavEnv(EnvBase):
     ``depth``                       uint8 ``(N, 4, H, W)``      oldest image first, the current one last; 255 = 5 m,
                                                                 0 = no return. An episode's first image is repeated.
     ``heading``                     float32 ``(N, 1)``          bearing of the goal, radians in (-pi, pi], + is left
+    ``command``                     float32 ``(N, 2)``          linear (m/s) and angular (rad/s) command in force
     ``action``                      int64 ``(N,)``              one of seven, see ``navsim.robot.ACTIONS``
     ``reward``                      float32 ``(N, 1)``
     ``done``, ``terminated``,       bool ``(N, 1)``             ``truncated``: the time limit; ``terminated``: the goal
@@ -54,6 +53,7 @@ class NavEnv(EnvBase):
         robot: its size and limits.
         sensor: noise, lost returns and latency of the depth images; none by default.
         randomization: what each episode draws anew of camera, wheels, sensor and start; nothing by default.
+        frame_interval: steps from one image of the stack to the next.
         seed: of everything drawn at random; ``set_seed`` replaces it. Fresh entropy by default.
         device: where tensors are put; the simulation runs on the CPU.
 
@@ -78,10 +78,14 @@ class NavEnv(EnvBase):
         robot: Robot = TURTLEBOT2,
         sensor: SensorModel | None = None,
         randomization: Randomization | None = None,
+        frame_interval: int = 1,
         seed: int | None = None,
         device: torch.device | str = "cpu",
     ) -> None:
         super().__init__(device=device, batch_size=torch.Size([num_envs]))
+        if frame_interval < 1:
+            raise ValueError(f"frame_interval must be at least 1; got {frame_interval}")
+        self.frame_interval = frame_interval
         worlds = worlds_from(world, default_seed=TRAINING_SEED)
         self.simulator = Simulator(
             worlds,
@@ -95,7 +99,7 @@ class NavEnv(EnvBase):
             draw_worlds=len(worlds) > 1,
         )
         height, width = self.simulator.camera.height, self.simulator.camera.width
-        self._frames = torch.zeros((num_envs, NUM_FRAMES, height, width), dtype=torch.uint8)
+        self._history = torch.zeros((num_envs, history_length(frame_interval), height, width), dtype=torch.uint8)
         self._make_specs(num_envs, height, width)
 
     def _make_specs(self, n: int, height: int, width: int) -> None:
@@ -103,6 +107,7 @@ class NavEnv(EnvBase):
         self.observation_spec = Composite(
             depth=Bounded(0, 255, shape=(n, NUM_FRAMES, height, width), dtype=torch.uint8),
             heading=Bounded(-math.pi, math.pi, shape=(n, 1), dtype=torch.float32),
+            command=Unbounded(shape=(n, 2), dtype=torch.float32),
             pose=Unbounded(shape=(n, 3), dtype=torch.float32),
             success=flag.clone(),
             collision=flag.clone(),
@@ -123,11 +128,11 @@ class NavEnv(EnvBase):
         observation = self.simulator.reset(mask)
         depth = torch.from_numpy(observation.depth)
         if mask is None:
-            self._frames = depth.unsqueeze(1).repeat(1, NUM_FRAMES, 1, 1)
+            self._history = depth.unsqueeze(1).repeat(1, self._history.shape[1], 1, 1)
         else:
-            self._frames = self._frames.clone()  # the last step's tensors may still be somebody's data
+            self._history = self._history.clone()  # the last step's tensors may still be somebody's data
             chosen = torch.from_numpy(np.flatnonzero(mask))
-            self._frames[chosen] = depth[chosen].unsqueeze(1)
+            self._history[chosen] = depth[chosen].unsqueeze(1)
         false = torch.zeros((*self.batch_size, 1), dtype=torch.bool)
         return self._pack(
             observation,
@@ -142,7 +147,7 @@ class NavEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         moved = self.simulator.step(tensordict["action"].cpu().numpy())
-        self._frames = torch.cat([self._frames[:, 1:], torch.from_numpy(moved.depth).unsqueeze(1)], dim=1)
+        self._history = torch.cat([self._history[:, 1:], torch.from_numpy(moved.depth).unsqueeze(1)], dim=1)
         terminated, truncated = _column(moved.terminated), _column(moved.truncated)
         return self._pack(
             Observation(moved.depth, moved.heading, moved.pose),
@@ -158,8 +163,9 @@ class NavEnv(EnvBase):
 
     def _pack(self, observation: Observation, **others: torch.Tensor) -> TensorDict:
         entries = {
-            "depth": self._frames,
+            "depth": stack_of(self._history),
             "heading": _column(observation.heading),
+            "command": torch.from_numpy(self.simulator.commands.astype(np.float32)),
             "pose": torch.from_numpy(observation.pose),
             **others,
         }
@@ -182,12 +188,12 @@ class NavEnv(EnvBase):
 
     def state_dict(self, *args, **kwargs) -> dict:
         """All that the future depends on: robots, episodes, generators, image stacks."""
-        return {"simulator": self.simulator.state_dict(), "frames": self._frames.clone()}
+        return {"simulator": self.simulator.state_dict(), "frames": self._history.clone()}
 
     def load_state_dict(self, state_dict: dict, *args, **kwargs) -> None:
         """Goes on exactly where ``state_dict`` was taken."""
         self.simulator.load_state_dict(state_dict["simulator"])
-        self._frames = state_dict["frames"].clone()
+        self._history = state_dict["frames"].clone()
 
 
 def _column(values: np.ndarray) -> torch.Tensor:

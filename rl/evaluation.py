@@ -33,7 +33,7 @@ from navsim.simulator import Observation, Simulator, Transition
 from navsim.task import Path, Task
 from navsim.world import World
 from navsim.worldsource import WorldSource, worlds_from
-from rl.env import NUM_FRAMES
+from rl.observation import history_length, stack_of
 from rl.run import atomic_write
 
 Outcome = Literal["success", "collision", "timeout"]
@@ -41,6 +41,7 @@ OUTCOMES: tuple[Outcome, ...] = ("success", "collision", "timeout")
 """How a path ends."""
 
 _FORMAT = 1
+_HISTORY = "_history"  # in the states that policies get: the images that their stacks are taken from
 _DRAWN_PATHS = 100
 MOST_PATHS = 1000
 """Of several worlds together, where it is not said how many."""
@@ -111,6 +112,15 @@ class PathResult:
         """Metres driven."""
         return float(np.linalg.norm(np.diff(self.trajectory[:, :2], axis=0), axis=1).sum())
 
+    @cached_property
+    def commands(self) -> np.ndarray:
+        """``(K + 1, 2)`` linear (m/s) and angular (rad/s) commands in force: at the start and after each action."""
+        command, commands = np.array([INITIAL_COMMAND]), [np.array(INITIAL_COMMAND)]
+        for action in self.actions:
+            command = apply_actions(command, np.array([action]))
+            commands.append(command[0])
+        return np.array(commands)
+
     def obstacle_poses(self, world: World, task: Task, robot: Robot = TURTLEBOT2) -> np.ndarray | None:
         """``(K + 1, D, 3)`` where what moves or can be pushed was all along; None in a world where nothing does.
 
@@ -118,12 +128,8 @@ class PathResult:
         """
         if not dynamic_obstacles(world):
             return None
-        command, commands = np.array([INITIAL_COMMAND]), []
-        for action in self.actions:
-            command = apply_actions(command, np.array([action]))
-            commands.append(command[0])
         start, period = self.trajectory[0], task.control_period
-        return obstacle_poses_along(world, start, self.phases, np.array(commands), period, robot, task.substep)
+        return obstacle_poses_along(world, start, self.phases, self.commands[1:], period, robot, task.substep)
 
     @property
     def spl(self) -> float:
@@ -361,6 +367,7 @@ def evaluate(
     robot: Robot = TURTLEBOT2,
     sensor: SensorModel | None = None,
     randomization: Randomization | None = None,
+    frame_interval: int = 1,
     seed: int = 0,
     num_paths: int | None = None,
     console: Console | None = None,
@@ -372,10 +379,10 @@ def evaluate(
     afterwards.
 
     Args:
-        policy: takes a tensordict with ``depth`` uint8 ``(N, 4, H, W)``, ``heading`` float32 ``(N, 1)``, ``pose``
-            float32 ``(N, 3)`` and ``is_init`` bool ``(N, 1)``, true in an episode's first step, and writes ``action``
-            ``(N,)``. What else it writes is there in the next step: its memory, one row a robot. Or a ``Planner``; a
-            path for which it has no plan counts as a timeout of no steps.
+        policy: takes a tensordict with ``depth`` uint8 ``(N, 4, H, W)``, ``heading`` float32 ``(N, 1)``, ``command``
+            float32 ``(N, 2)``, ``pose`` float32 ``(N, 3)`` and ``is_init`` bool ``(N, 1)``, true in an episode's first
+            step, and writes ``action`` ``(N,)``. What else it writes is there in the next step: its memory, one row a
+            robot. Or a ``Planner``; a path for which it has no plan counts as a timeout of no steps.
         world: a world, the path or name of a world file, or generated rooms such as
             ``"generate:clutter,count=200,seed=1"`` (see ``navsim.worldsource``); or several of these.
         name: of the policy, for tables; by default the policy's own ``name``, or its class's.
@@ -384,6 +391,7 @@ def evaluate(
         robot: its size and limits.
         sensor: noise, lost returns and latency of the images that the policy sees; none by default.
         randomization: what each path draws anew of camera, wheels, sensor and start; nothing by default.
+        frame_interval: steps from one image of the policy's stack to the next.
         seed: of all that is drawn.
         num_paths: how many paths to drive. Of one world, the first ones; by default all. Of several, as many in each
             (one more in the first, where that does not come out even), drawn with ``seed`` from those that the world
@@ -408,6 +416,7 @@ def evaluate(
         robot=robot,
         sensor=sensor,
         randomization=randomization,
+        frame_interval=frame_interval,
         seed=seed,
     )
     results: list[PathResult] = []
@@ -445,6 +454,7 @@ def _drive_paths(
     robot: Robot,
     sensor: SensorModel | None,
     randomization: Randomization | None,
+    frame_interval: int,
     seed: int,
     advance: Callable[[int], None],
 ) -> list[PathResult]:
@@ -464,7 +474,7 @@ def _drive_paths(
     )
     observation = simulator.reset(paths=local)
     starts, goals, phases = simulator.poses.copy(), simulator.goals.copy(), simulator.phases.copy()
-    state = _first_state(observation)
+    state = _first_state(observation, simulator, frame_interval)
     driven = np.ones(len(paths), dtype=bool)
     if isinstance(policy, Planner):
         plans: list[np.ndarray | None] = []
@@ -569,12 +579,15 @@ def _paths_of(world: World, num_paths: int | None) -> list[Path]:
     return [Path(start, goal) for start, goal in world.paths[:num_paths]]
 
 
-def _first_state(observation: Observation) -> TensorDict:
+def _first_state(observation: Observation, simulator: Simulator, frame_interval: int) -> TensorDict:
     count = len(observation.heading)
+    images = torch.from_numpy(observation.depth).unsqueeze(1).repeat(1, history_length(frame_interval), 1, 1)
     return TensorDict(
         {
-            "depth": torch.from_numpy(observation.depth).unsqueeze(1).repeat(1, NUM_FRAMES, 1, 1),
+            _HISTORY: images,
+            "depth": stack_of(images),
             "heading": torch.from_numpy(observation.heading).unsqueeze(-1),
+            "command": torch.from_numpy(simulator.commands.astype(np.float32)),
             "pose": torch.from_numpy(observation.pose),
             "is_init": torch.ones((count, 1), dtype=torch.bool),
         },
@@ -620,7 +633,7 @@ def _drive(
                     collided = episode.outcome == "collision"
                     episode.bumper = collided and bool(moved.bumper[robot])
                     episode.too_near = collided and bool(moved.too_near[robot])
-            state = _next_state(state, moved)
+            state = _next_state(state, moved, simulator)
             if ended.any():
                 running = running[~ended]
                 advance(int(ended.sum()))
@@ -635,10 +648,11 @@ def _outcome(moved: Transition, robot: int) -> Outcome:
     return "collision" if moved.collision[robot] else "timeout"
 
 
-def _next_state(state: TensorDictBase, moved: Transition) -> TensorDictBase:
-    depth = torch.from_numpy(moved.depth).unsqueeze(1)
-    state["depth"] = torch.cat([state["depth"][:, 1:], depth], dim=1)
+def _next_state(state: TensorDictBase, moved: Transition, simulator: Simulator) -> TensorDictBase:
+    images = torch.cat([state[_HISTORY][:, 1:], torch.from_numpy(moved.depth).unsqueeze(1)], dim=1)
+    state[_HISTORY], state["depth"] = images, stack_of(images)
     state["heading"] = torch.from_numpy(moved.heading).unsqueeze(-1)
+    state["command"] = torch.from_numpy(simulator.commands.astype(np.float32))
     state["pose"] = torch.from_numpy(moved.pose)
     state["is_init"] = torch.zeros_like(state["is_init"])
     return state

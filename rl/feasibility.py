@@ -13,7 +13,7 @@ from navsim.worldsource import is_generated
 from rl.checkpoints import KEPT
 from rl.config import ConfigError, TrainConfig
 from rl.learner import shapes_of_weights
-from rl.networks import NUM_FRAMES
+from rl.observation import NUM_FRAMES
 
 _GIB = 2**30
 _PROCESS = 0.55 * _GIB

@@ -43,6 +43,7 @@ def finish(run: Run, console: Console) -> Path:
             task=config.task,
             robot=config.robot,
             sensor=config.sensor,
+            frame_interval=config.frame_interval,
             seed=config.seed,
             num_paths=few_paths(worlds),
             console=console,

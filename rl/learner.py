@@ -133,8 +133,10 @@ def make_actor(config: TrainConfig) -> QValueActor:
     height, width = config.camera.height, config.camera.width
     if config.loss_function == "categorical":
         returns = (config.least_return, config.greatest_return)
-        return make_categorical_actor(config.model, height, width, atoms=config.atoms, value_range=returns)
-    return make_q_actor(config.model, height, width)
+        return make_categorical_actor(
+            config.model, height, width, config.inputs, atoms=config.atoms, value_range=returns
+        )
+    return make_q_actor(config.model, height, width, config.inputs)
 
 
 def name_in_network(name: str) -> str:

@@ -7,6 +7,9 @@ The models differ in how the heading θ of the goal enters, always as (θ + π) 
 - **D3QN-I**: as a fifth image plane, the same number in every pixel.
 - **D3QN-S**: appended to the flattened features, the input of both streams.
 
+Variants see less or more (``inputs``): one of both inputs alone, which tells what the other is worth, or the robot's
+own command (v, ω) besides, appended to the features.
+
 Some things are computed differently from how they are written above, and give the same numbers (the tests compare):
 
 - Convolutions are products of matrices, see ``rl.convolution``, and features are flattened in the order row, column,
@@ -25,8 +28,8 @@ docs/performance.md tells what each of these gives, and what was tried besides.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple, get_args
+from collections.abc import Collection, Sequence
+from typing import Any, NamedTuple, get_args
 
 import torch
 from torch import Tensor, nn
@@ -35,14 +38,11 @@ from torch.nn import functional as F
 from torchrl.data import Categorical
 from torchrl.modules import QValueActor
 
-from navsim.robot import NUM_ACTIONS
+from navsim.robot import ACTIONS, NUM_ACTIONS
 from rl.convolution import ByteConvolution, Convolution, Geometry
+from rl.observation import DEPTH_AND_HEADING, NUM_FRAMES, Input, Model, check_inputs, keys_of
 
-Model = Literal["I", "S"]
-"""Where the heading enters: as an image plane, or as a scalar beside the features."""
-
-NUM_FRAMES = 4
-"""Depth images in an observation."""
+_FASTEST = tuple(max(abs(command[axis] or 0.0) for command in ACTIONS) for axis in (0, 1))
 
 STREAM_WIDTH = 512
 """Units in the hidden layer of each stream."""
@@ -118,6 +118,7 @@ class D3QN(nn.Module):
         model: ``"I"``, the heading as an image plane, or ``"S"``, as a scalar beside the features.
         height: of the depth images, pixels; at least 10, the height of the first kernel.
         width: of the depth images, pixels; at least 14.
+        inputs: what it sees. Images or headings that are not among them are zeros to it, whatever it is given.
 
     Attributes:
         conv1, conv2, conv3: the convolutions; the fifth input channel of D3QN-I's ``conv1`` is the heading's.
@@ -125,7 +126,7 @@ class D3QN(nn.Module):
         value, advantage: the streams' last layers.
 
     Raises:
-        ValueError: for another model, or images smaller than the first kernel.
+        ValueError: for another model, no or unknown inputs, or images smaller than the first kernel.
 
     Weights begin as in TensorFlow, the thesis's framework: Glorot's uniform distribution (2010), for each stream of its
     own, and biases of zero.
@@ -136,13 +137,21 @@ class D3QN(nn.Module):
     """
 
     _coverage: Tensor
+    _fastest: Tensor
 
-    def __init__(self, model: Model = "I", height: int = 64, width: int = 80) -> None:
+    def __init__(
+        self,
+        model: Model = "I",
+        height: int = 64,
+        width: int = 80,
+        inputs: Collection[Input] = DEPTH_AND_HEADING,
+    ) -> None:
         super().__init__()
         if model not in get_args(Model):
             raise ValueError(
                 f'model must be "I" (heading as an image plane) or "S" (heading as a scalar); got {model!r}'
             )
+        check_inputs(inputs)
         least = _CONVOLUTIONS[0].kernel
         if height < least[0] or width < least[1]:
             raise ValueError(
@@ -150,6 +159,7 @@ class D3QN(nn.Module):
                 f" use at least {least[1]} x {least[0]}"
             )
         self.model = model
+        self.inputs = frozenset(inputs)
         self.image_shape = (NUM_FRAMES, height, width)
 
         channels, size = NUM_FRAMES + (model == "I"), (height, width)
@@ -159,11 +169,14 @@ class D3QN(nn.Module):
             channels, size = convolution.channels, layer.output_size
             layers.append(layer)
         self.conv1, self.conv2, self.conv3 = layers
-        self.streams = nn.Linear(channels * size[0] * size[1] + (model == "S"), 2 * STREAM_WIDTH)
+        appended = (model == "S") + 2 * ("command" in self.inputs)
+        self.streams = nn.Linear(channels * size[0] * size[1] + appended, 2 * STREAM_WIDTH)
         self.value = nn.Linear(STREAM_WIDTH, 1)
         self.advantage = nn.Linear(STREAM_WIDTH, NUM_ACTIONS)
         self.reset_parameters()
 
+        if "command" in self.inputs:
+            self.register_buffer("_fastest", torch.tensor(_FASTEST), persistent=False)
         if model == "I":
             self.register_buffer("_coverage", _coverage(_CONVOLUTIONS[0], height, width), persistent=False)
 
@@ -196,23 +209,24 @@ class D3QN(nn.Module):
             "advantage 2": counts["advantage"],
         }
 
-    def forward(self, depth: Tensor, heading: Tensor) -> Tensor:
+    def forward(self, depth: Tensor, heading: Tensor, command: Tensor | None = None) -> Tensor:
         """Action values, ``(..., 7)``.
 
         Args:
             depth: uint8 ``(..., 4, H, W)``, oldest image first; 255 is the camera's greatest range.
             heading: float32 ``(..., 1)``, radians in (−π, π].
+            command: float32 ``(..., 2)``, the command in force, m/s and rad/s; for networks that see it.
 
         Raises:
-            ValueError: for images of another size.
+            ValueError: for images of another size, or if the command is missing.
         """
-        return self.head(self.hidden(depth, heading)).reshape(*depth.shape[:-3], NUM_ACTIONS)
+        return self.head(self.hidden(depth, heading, command)).reshape(*depth.shape[:-3], NUM_ACTIONS)
 
-    def hidden(self, depth: Tensor, heading: Tensor) -> Tensor:
+    def hidden(self, depth: Tensor, heading: Tensor, command: Tensor | None = None) -> Tensor:
         """The hidden layers of both streams, one sample a column: ``(1024, B)``; arguments as for ``forward``."""
-        depth, heading = self._flat(depth, heading)
+        depth, scalars = self._flat(depth, heading, command)
         response = ByteConvolution.apply(depth, self._byte_kernel(), self.conv1.geometry)
-        return self._streams(self._features(response, heading))
+        return self._streams(self._features(response, scalars))
 
     def head(self, hidden: Tensor) -> Tensor:
         """Action values, ``(B, 7)``, of hidden layers ``(1024, B)``."""
@@ -222,14 +236,23 @@ class D3QN(nn.Module):
             advantage = torch.addmm(self.advantage.bias.unsqueeze(1), self.advantage.weight, hidden[STREAM_WIDTH:])
             return (value + advantage - advantage.mean(0, keepdim=True)).t()
 
-    def _flat(self, depth: Tensor, heading: Tensor) -> tuple[Tensor, Tensor]:
-        """Observations in one batch dimension, headings from 0 to 1."""
+    def _flat(self, depth: Tensor, heading: Tensor, command: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Images ``(B, 4, H, W)``, and ``(B, 1)`` or ``(B, 3)`` numbers: heading from 0 to 1, command from −1 to 1."""
         if depth.shape[-3:] != self.image_shape:
             raise ValueError(
                 f"the network is for depth images of shape {self.image_shape} (frames, height, width);"
                 f" got {tuple(depth.shape[-3:])}"
             )
-        return depth.reshape(-1, *self.image_shape), ((heading + math.pi) / (2.0 * math.pi)).reshape(-1, 1)
+        depth, scalars = depth.reshape(-1, *self.image_shape), ((heading + math.pi) / (2.0 * math.pi)).reshape(-1, 1)
+        if "depth" not in self.inputs:
+            depth = torch.zeros_like(depth)
+        if "heading" not in self.inputs:
+            scalars = torch.zeros_like(scalars)
+        if "command" in self.inputs:
+            if command is None:
+                raise ValueError("the network sees the robot's command, too, but got none: (depth, heading, command)")
+            scalars = torch.cat([scalars, command.reshape(-1, 2) / self._fastest], dim=1)
+        return depth, scalars
 
     def _byte_kernel(self) -> Tensor:
         """conv1's weights for 8-bit images, ``(32, 560)``, in the format that the networks multiply in."""
@@ -237,9 +260,9 @@ class D3QN(nn.Module):
         device = weight.device.type
         return weight.to(torch.get_autocast_dtype(device)) if torch.is_autocast_enabled(device) else weight
 
-    def _features(self, response: Tensor, heading: Tensor) -> Tensor:
+    def _features(self, response: Tensor, scalars: Tensor) -> Tensor:
         """What the streams see, ``(B, n)``, of conv1's ``response`` to the images, ``(B·H'·W', 32)`` without bias."""
-        batch, dtype = len(heading), response.dtype
+        batch, dtype, heading = len(scalars), response.dtype, scalars[:, :1]
         offsets, shares = self.conv1.bias.expand(len(response) // batch, -1).flatten(), torch.ones_like(heading)
         if self.model == "I":
             offsets, shares = torch.stack([offsets, self._plane_response()]), torch.cat([shares, heading], dim=1)
@@ -248,7 +271,8 @@ class D3QN(nn.Module):
         )
         features = F.relu_(features).view(batch, *self.conv1.output_size, -1).permute(0, 3, 1, 2)
         features = F.relu_(self.conv3(F.relu_(self.conv2(features)))).permute(0, 2, 3, 1).flatten(1)
-        return features if self.model == "I" else torch.cat([features, heading.to(dtype)], dim=1)
+        appended = scalars[:, 1:] if self.model == "I" else scalars
+        return torch.cat([features, appended.to(dtype)], dim=1) if appended.shape[1] else features
 
     def _streams(self, features: Tensor, passengers: Tensor | None = None) -> Tensor:
         weight, bias = self.streams.weight.to(features.dtype), self.streams.bias.to(features.dtype)
@@ -293,25 +317,25 @@ def hidden_of_update(
     Args:
         online: the network that learns.
         target: the network that tells what s' is worth.
-        observation: depth and heading of B states s.
+        observation: what they see of B states s: depth, heading, and where they see it, the command.
         next_observation: of as many states s'.
         double: whether the online network judges s' as well.
 
     Returns:
         online of s, target of s' and, equal to the second unless ``double``, online of s', each ``(1024, B)``.
     """
-    (depth, heading), (next_depth, next_heading) = online._flat(*observation), online._flat(*next_observation)
+    (depth, scalars), (next_depth, next_scalars) = online._flat(*observation), online._flat(*next_observation)
     networks = (target, online) if double else (target,)
     with torch.no_grad():
         kernels = [network._byte_kernel() for network in networks]
         responses = ByteConvolution.apply(next_depth, torch.cat(kernels), online.conv1.geometry)
         next_features = [
-            network._features(response, next_heading)
+            network._features(response, next_scalars)
             for network, response in zip(networks, responses.split(len(kernels[0]), dim=1), strict=True)
         ]
         next_hidden = target._streams(next_features[0])
     response = ByteConvolution.apply(depth, online._byte_kernel(), online.conv1.geometry)
-    features = online._features(response, heading)
+    features = online._features(response, scalars)
     if not double:
         return online._streams(features), next_hidden, next_hidden
     both = online._streams(features, next_features[1])
@@ -328,20 +352,25 @@ def _coverage(convolution: _Convolution, height: int, width: int) -> Tensor:
     return torch.kron(*axes)
 
 
-def make_q_actor(model: Model = "I", height: int = 64, width: int = 80) -> QValueActor:
+def make_q_actor(
+    model: Model = "I", height: int = 64, width: int = 80, inputs: Collection[Input] = DEPTH_AND_HEADING
+) -> QValueActor:
     """The greedy policy of a new network.
 
-    It reads ``depth`` and ``heading``, and writes ``action_value``, ``action`` and ``chosen_action_value``.
+    It reads ``depth``, ``heading`` and, if it sees it, ``command``, and writes ``action_value``, ``action`` and
+    ``chosen_action_value``.
 
     Args:
         model: ``"I"`` or ``"S"``; see ``D3QN``.
         height: of the depth images, pixels.
         width: of the depth images, pixels.
+        inputs: what it sees.
 
     Returns:
         a TorchRL actor with a categorical action space, for tensordicts of any batch size.
 
     Raises:
-        ValueError: for another model, or images smaller than the network's first kernel.
+        ValueError: as ``D3QN``.
     """
-    return QValueActor(D3QN(model, height, width), in_keys=["depth", "heading"], spec=Categorical(NUM_ACTIONS))
+    network = D3QN(model, height, width, inputs)
+    return QValueActor(network, in_keys=keys_of(inputs), spec=Categorical(NUM_ACTIONS))

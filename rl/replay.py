@@ -22,6 +22,7 @@ from torchrl.data.replay_buffers.storages import Storage
 from torchrl.envs.transforms import Compose, MultiStepTransform, Transform
 
 from navsim.robot import MIRRORED_ACTIONS
+from rl.observation import history_length, keys_of
 
 PRIORITY_EXPONENT = 0.3
 """α of prioritised replay: 0.6 in Schaul et al. 2016 (arXiv 1511.05952), halved for squared errors."""
@@ -40,14 +41,17 @@ def make_replay(
     gamma: float = 0.99,
     prioritized: bool = False,
     mirror: bool = False,
+    command: bool = False,
+    frame_interval: int = 1,
     generator: torch.Generator | None = None,
 ) -> TensorDictReplayBuffer:
     """TorchRL's replay buffer for ``NavEnv``'s transitions, with shared images.
 
     ``extend`` takes what one collector yields, batches ``(N, T)`` of N environments and T steps, in order; ``sample``
     returns ``batch_size`` transitions with the keys ``depth``, ``heading``, ``action``, ``steps_to_next_obs``,
-    ``index`` and ``next``: ``depth``, ``heading``, ``reward``, ``done``, ``terminated``; if prioritised, also
-    ``priority_weight``. The last ``n_step`` steps of each environment wait until the steps after them are known.
+    ``index`` and ``next``: ``depth``, ``heading``, ``reward``, ``done``, ``terminated``; with ``command`` also those of
+    both states; if prioritised, also ``priority_weight``. The last ``n_step`` steps of each environment wait until the
+    steps after them are known.
 
     Args:
         capacity: transitions kept; a new one replaces the oldest.
@@ -60,10 +64,12 @@ def make_replay(
         gamma: discount of the sum, a step.
         prioritized: whether large errors are sampled more often (``update_tensordict_priority`` after the loss).
         mirror: whether half of each sample is mirrored, see ``MirroredHalf``.
+        command: whether the robots' commands are kept, too.
+        frame_interval: of the environments: steps from one image of a stack to the next.
         generator: of the sampled indices; by default, one seeded from torch's global generator.
 
     Raises:
-        ValueError: for a capacity, batch size or number of steps below 1.
+        ValueError: for a capacity, batch size, number of steps or interval below 1.
 
     Sampling from another thread than the one that extends (TorchRL's ``prefetch``) is not supported.
 
@@ -76,13 +82,21 @@ def make_replay(
     >>> replay.sample()["next", "depth"].shape
     torch.Size([8, 4, 10, 14])
     """
-    for name, value in (("capacity", capacity), ("batch_size", batch_size), ("n_step", n_step)):
+    for name, value in (
+        ("capacity", capacity),
+        ("batch_size", batch_size),
+        ("n_step", n_step),
+        ("frame_interval", frame_interval),
+    ):
         if value < 1:
             raise ValueError(f"{name} of a replay must be at least 1; got {value}")
     if generator is None:
         generator = torch.Generator().manual_seed(int(torch.randint(2**63 - 1, ())))
     storage = _ZeroedStorage(capacity)
-    transforms: list[Transform] = [SharedFrames(storage, height, width, n_step=n_step, gamma=gamma)]
+    frames = SharedFrames(
+        storage, height, width, n_step=n_step, gamma=gamma, command=command, frame_interval=frame_interval
+    )
+    transforms: list[Transform] = [frames]
     if mirror:
         transforms.append(MirroredHalf())
     return TensorDictReplayBuffer(
@@ -199,9 +213,9 @@ class SharedFrames(MultiStepTransform):
     image, the newest of ``next``; an episode's first step also its first. On the way out, numbers become images again.
     An image is forgotten once no transition holds its number, neither in the storage nor waiting for its n-step return.
 
-    A step continues the one before it if its stack is the other's next stack, byte for byte. Where a stream of steps
-    breaks without ``done`` (a collector was reset, or a run resumed from a checkpoint), it counts as cut off there by a
-    time limit: n-step returns stop, and bootstrap from the last observation.
+    A step continues the one before it if its images and heading are the other's next ones, byte for byte. Where a
+    stream of steps breaks without ``done`` (a collector was reset, or a run resumed from a checkpoint), it counts as
+    cut off there by a time limit: n-step returns stop, and bootstrap from the last observation.
 
     ``MultiStepTransform`` itself keeps ``done`` and ``terminated`` of the first of the n steps, so that a return which
     reaches a terminal step is bootstrapped from beyond it; here they are those of the last step. It also leaves the
@@ -213,13 +227,27 @@ class SharedFrames(MultiStepTransform):
         width: of the images, pixels.
         n_step: rewards summed into one.
         gamma: discount a step.
+        command: whether the robots' commands are kept.
+        frame_interval: steps from one image of a stack to the next. From 2 on, where a stream of steps begins or
+            breaks, all images of the stack must be the same one, as ``NavEnv`` has them at an episode's beginning:
+            those in between are not known.
     """
 
-    _OBSERVED = ("depth", "heading")
-    _KEYS = (*_OBSERVED, "action", *(("next", key) for key in (*_OBSERVED, "reward", "done", "terminated")))
-
-    def __init__(self, storage: Storage, height: int, width: int, *, n_step: int, gamma: float) -> None:
+    def __init__(
+        self,
+        storage: Storage,
+        height: int,
+        width: int,
+        *,
+        n_step: int,
+        gamma: float,
+        command: bool = False,
+        frame_interval: int = 1,
+    ) -> None:
         super().__init__(n_step, gamma, done_keys=[])
+        observed = keys_of(("depth", "heading", *(("command",) if command else ())))
+        self._keys = (*observed, "action", *(("next", key) for key in (*observed, "reward", "done", "terminated")))
+        self._interval = frame_interval
         self._storage = storage
         self._frames = FrameStore(storage.max_size, 2 * storage.max_size, height, width)
         self._current: np.ndarray | None = None
@@ -234,26 +262,36 @@ class SharedFrames(MultiStepTransform):
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase | None:
         """Records, one-dimensional and oldest first, of the steps whose n-step return is known by now."""
-        steps = tensordict.select(*self._KEYS).to("cpu")
+        steps = tensordict.select(*self._keys).to("cpu")
         steps = steps.reshape(-1, steps.shape[-1])
         depth, next_depth = steps.pop("depth"), steps.pop(("next", "depth"))
         steps = steps.clone()  # collectors may write their next batch into the same memory
         done = steps["next", "done"].squeeze(-1).numpy()
-        numbers, next_numbers = self._number(depth.numpy(), next_depth.numpy(), done)
+        headings = steps["heading"].numpy(), steps["next", "heading"].numpy()
+        numbers, next_numbers = self._number(depth.numpy(), next_depth.numpy(), *headings, done)
         steps.set("depth", torch.from_numpy(numbers))
         steps.set(("next", "depth"), torch.from_numpy(next_numbers))
         records = super()._inv_call(steps)
         if records is None:
             return None
-        records = records.select(*self._KEYS, "steps_to_next_obs").transpose(0, 1).reshape(-1)
+        records = records.select(*self._keys, "steps_to_next_obs").transpose(0, 1).reshape(-1)
         return records[-self._storage.max_size :]
 
-    def _number(self, depth: np.ndarray, next_depth: np.ndarray, done: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _number(
+        self,
+        depth: np.ndarray,
+        next_depth: np.ndarray,
+        heading: np.ndarray,
+        next_heading: np.ndarray,
+        done: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Stores the new images of a batch, and marks in ``done`` where its streams break.
 
         Args:
             depth: ``(N, T, 4, H, W)``.
             next_depth: ``(N, T, 4, H, W)``.
+            heading: ``(N, T, 1)``.
+            next_heading: ``(N, T, 1)``.
             done: ``(N, T)``, changed in place.
 
         Returns:
@@ -261,39 +299,56 @@ class SharedFrames(MultiStepTransform):
         """
         n, t = done.shape
         if self._current is None or self._running is None:
-            self._current, self._running = np.zeros((n, depth.shape[2]), np.int32), np.zeros(n, bool)
+            self._current, self._running = np.zeros((n, history_length(self._interval)), np.int32), np.zeros(n, bool)
         if n != len(self._current):
             raise ValueError(
                 f"a replay is fed by one collector; it knows {len(self._current)} environments, and now got {n}"
             )
-        if not np.array_equal(next_depth[:, :, :-1], depth[:, :, 1:]):
-            raise ValueError('("next", "depth") must be "depth" moved on by one image, the newest last')
-
         continues = np.empty((n, t), bool)
-        continues[:, 0] = self._running & _same(depth[:, 0], self._frames[self._current], leading=1)
+        continues[:, 0] = self._running & _same(depth[:, 0], self._frames[self._seen(self._current)], leading=1)
+        if self._buffer is not None:
+            continues[:, 0] &= _same(heading[:, 0], self._buffer["next", "heading"][:, -1].numpy(), leading=1)
         self._mark_cut(self._running & ~continues[:, 0])
         continues[:, 1:] = _same(depth[:, 1:], next_depth[:, :-1], leading=2)
+        continues[:, 1:] &= _same(heading[:, 1:], next_heading[:, :-1], leading=2)
         done[:, :-1] |= ~continues[:, 1:]
 
         starts = depth[~continues]
         fresh = np.ones(starts.shape[:2], bool)  # an episode's first stack is one image, repeated
         fresh[:, 1:] = ~_same(starts[:, 1:], starts[:, :-1], leading=2)
+        if self._interval > 1 and fresh[:, 1:].any():
+            raise ValueError(
+                f"a stream of steps begins with images that differ, and what lies between them, with {self._interval} "
+                "steps from one to the next, is not known; begin with an episode's first step"
+            )
         new = self._frames.reserve(n * t + np.count_nonzero(fresh), self._held)
         newest, first = new[: n * t].reshape(n, t), new[n * t :]
         self._frames[newest] = next_depth[:, :, -1]
         self._frames[first] = starts[fresh]
 
+        current = self._current
+        begun = np.zeros((n, t, current.shape[1]), np.int32)
+        begun[~continues] = first[np.cumsum(fresh) - 1].reshape(fresh.shape)[
+            :, np.arange(current.shape[1]) // self._interval
+        ]
         numbers = np.empty((n, t, depth.shape[2]), np.int32)
         next_numbers = np.empty_like(numbers)
-        numbers[~continues] = first[np.cumsum(fresh) - 1].reshape(fresh.shape)
-        current = self._current
         for step in range(t):
-            numbers[:, step] = np.where(continues[:, step, None], current, numbers[:, step])
-            next_numbers[:, step, :-1] = numbers[:, step, 1:]
-            next_numbers[:, step, -1] = newest[:, step]
-            current = next_numbers[:, step]
-        self._current, self._running = current.copy(), ~done[:, -1]
+            current = np.where(continues[:, step, None], current, begun[:, step])
+            numbers[:, step] = self._seen(current)
+            current = np.concatenate([current[:, 1:], newest[:, step, None]], axis=1)
+            next_numbers[:, step] = self._seen(current)
+        if not np.array_equal(self._frames[next_numbers[:, :, :-1]], next_depth[:, :, :-1]):
+            raise ValueError(
+                f'("next", "depth") must be "depth" moved on by one step, the newest image last, with {self._interval} '
+                "steps from one image to the next (frame_interval)"
+            )
+        self._current, self._running = current, ~done[:, -1]
         return numbers, next_numbers
+
+    def _seen(self, history: np.ndarray) -> np.ndarray:
+        """Of a history ``(N, K)`` those that are in the stack, ``(N, 4)``."""
+        return history[:, :: self._interval]
 
     def _mark_cut(self, cut: np.ndarray) -> None:
         """Ends the streams ``(N,)`` at their last step, which waits for its n-step return."""
@@ -301,7 +356,9 @@ class SharedFrames(MultiStepTransform):
             self._buffer["next", "done"][:, -1, 0] |= torch.from_numpy(cut)
 
     def _held(self) -> Iterator[np.ndarray]:
-        """Numbers of all images that are still needed; what waits includes the environments' present stacks."""
+        """Numbers of all images that are still needed."""
+        if self._current is not None:
+            yield self._current
         for records in (self._buffer, self._storage.get(slice(None)) if len(self._storage) else None):
             if records is not None:
                 yield records["depth"].numpy()
@@ -387,13 +444,15 @@ class _MinArray(_Array):
 
 
 _MIRRORED_ACTIONS = torch.tensor(MIRRORED_ACTIONS)
+_MIRRORED_COMMAND = torch.tensor([1.0, -1.0])
 
 
 class MirroredHalf(Transform):
     """Replaces half of each sample by its mirror image.
 
     Left and right swapped, a world is as good a world, and its best action is the mirrored one: images are flipped,
-    headings negated, left turns become right turns. Samples are drawn independently, so which half does not matter.
+    headings and turning speeds negated, left turns become right turns. Samples are drawn independently, so which half
+    does not matter.
     """
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -403,6 +462,8 @@ class MirroredHalf(Transform):
         for part in (tensordict, tensordict["next"]):
             part["depth"][:half] = part["depth"][:half].flip(-1)
             part["heading"] = torch.cat([-part["heading"][:half], part["heading"][half:]])
+            if "command" in part:
+                part["command"] = torch.cat([part["command"][:half] * _MIRRORED_COMMAND, part["command"][half:]])
         action = tensordict["action"]
         tensordict["action"] = torch.cat([_MIRRORED_ACTIONS[action[:half]], action[half:]])
         return tensordict

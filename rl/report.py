@@ -25,7 +25,6 @@ from navsim.world import World
 from navsim.worldsource import TRAINING_SEED, have_rooms_in_common, short_name, worlds_from
 from rl.baselines import BASELINES
 from rl.config import TrainConfig
-from rl.env import NUM_FRAMES
 from rl.evaluation import OUTCOMES, Evaluation, PathResult
 from rl.figures import (
     action_distribution,
@@ -35,6 +34,7 @@ from rl.figures import (
     example_paths,
     training_curves,
 )
+from rl.observation import NUM_FRAMES, history_length
 from rl.policies import load_policy
 from rl.run import Run, RunError, atomic_write
 
@@ -246,7 +246,7 @@ def _embedded(content: bytes, kind: str) -> str:
 def _telling_moments(world: World, path: PathResult, config: TrainConfig) -> list[tuple[str, int]]:
     """The steps of a drive where the way ahead was freest and where it was most obstructed."""
     last = max(0, path.steps - 1)
-    first = min(NUM_FRAMES - 1, last)
+    first = min(history_length(config.frame_interval) - 1, last)
     images = _ideal_images(config, world, path, np.arange(first, last + 1))
     middle = slice(config.camera.width // 3, -(config.camera.width // 3) or None)
     view = obstacle_depth(images, config.camera)[:, middle].mean(axis=1)
@@ -262,17 +262,22 @@ def _ideal_images(config: TrainConfig, world: World, path: PathResult, steps: np
 
 def _depth_stack(actor: QValueActor, config: TrainConfig, world: World, path: PathResult, step: int) -> Figure:
     camera = config.camera
-    steps = np.maximum(np.arange(step - NUM_FRAMES + 1, step + 1), 0)
+    steps = np.maximum(step - config.frame_interval * np.arange(NUM_FRAMES - 1, -1, -1), 0)
     stack = camera.to_uint8(_ideal_images(config, world, path, steps))
     angle = float(heading(path.trajectory[step], np.array(path.goal)))
     observation = TensorDict(
-        {"depth": torch.from_numpy(stack)[None], "heading": torch.tensor([[angle]], dtype=torch.float32)},
+        {
+            "depth": torch.from_numpy(stack)[None],
+            "heading": torch.tensor([[angle]], dtype=torch.float32),
+            "command": torch.from_numpy(path.commands[step : step + 1].astype(np.float32)),
+        },
         batch_size=[1],
     )
     with torch.no_grad():
         q_values = actor(observation)["action_value"][0].numpy()
     figure = new_figure(10.0, 5.0)
-    draw_depth_stack(figure, stack, angle, q_values, camera, interval=config.task.control_period)
+    interval = config.frame_interval * config.task.control_period
+    draw_depth_stack(figure, stack, angle, q_values, camera, interval=interval)
     return figure
 
 

@@ -28,9 +28,9 @@ from navsim.draw import ACTION_LABELS, INK, OUTCOME_COLOURS, QUIET_INK, new_figu
 from navsim.raycast import render_depth
 from navsim.worldfile import load_world
 from rl.config import PRESETS, Model, TrainConfig
-from rl.env import NUM_FRAMES
 from rl.evaluation import Evaluation, evaluate
 from rl.figures import choose_examples, example_paths
+from rl.observation import NUM_FRAMES
 from rl.policies import load_policy
 from rl.run import Run, atomic_write, write_json
 from rl.train import train

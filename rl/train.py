@@ -32,6 +32,7 @@ from rl.evaluation import Evaluation, evaluate, few_paths
 from rl.feasibility import check_feasible
 from rl.learner import Learner, number_format
 from rl.memory import keep_freed_memory
+from rl.observation import keys_of
 from rl.progress import Clock, TrainingProgress, progress_bar
 from rl.replay import make_replay
 from rl.run import Run, settings_of, writing
@@ -106,6 +107,8 @@ def _train(config: TrainConfig, run: Run, resume: bool, console: Console) -> Run
         gamma=config.gamma,
         mirror=config.mirror,
         prioritized=config.prioritized,
+        command="command" in config.inputs,
+        frame_interval=config.frame_interval,
     )
     policy = explorer(learner.actor, env, config)
     exploration = policy[-1]
@@ -418,6 +421,7 @@ def _evaluate(learner: Learner, worlds: Sequence[World], config: TrainConfig) ->
         task=config.task,
         robot=config.robot,
         sensor=config.sensor,
+        frame_interval=config.frame_interval,
         seed=config.seed,
         num_paths=few_paths(worlds),
     )
@@ -432,12 +436,13 @@ def _probe_states(worlds: Sequence[World], config: TrainConfig) -> TensorDictBas
         task=config.task,
         robot=config.robot,
         sensor=config.sensor,
+        frame_interval=config.frame_interval,
         seed=0,
     )
     with torch.random.fork_rng():
         torch.manual_seed(0)
         steps = 4 * _PROBE_STATES // config.num_envs + 1
-        visited = env.rollout(steps, break_when_any_done=False).select("depth", "heading").reshape(-1)
+        visited = env.rollout(steps, break_when_any_done=False).select(*keys_of(config.inputs)).reshape(-1)
         return visited[torch.randperm(len(visited))[:_PROBE_STATES]].clone()
 
 

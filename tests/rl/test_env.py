@@ -14,10 +14,12 @@ from torchrl.envs.utils import check_env_specs
 from navsim import World, load_world
 from navsim.camera import DepthCamera
 from navsim.randomization import Randomization
+from navsim.robot import INITIAL_COMMAND
 from navsim.sensor import KINECT
 from navsim.simulator import Simulator
 from navsim.task import Task
-from rl.env import NUM_FRAMES, NavEnv
+from rl.env import NavEnv
+from rl.observation import NUM_FRAMES
 
 CAMERA = DepthCamera(width=20, height=12)
 CORRIDOR = World.from_dict({"format": 1, "size": [8, 4], "starts": [{"at": [-3, 0], "yaw_deg": 0}], "goals": [[3, 0]]})
@@ -61,17 +63,21 @@ def test_the_default_image_is_80_by_64():
     assert NavEnv(CORRIDOR, 2).reset()["depth"].shape == (2, 4, 64, 80)
 
 
-def test_a_step_brings_what_the_simulator_brings():
-    env = NavEnv("complex_train", 4, camera=CAMERA, seed=3)
+@pytest.mark.parametrize("interval", [1, 3])
+def test_a_step_brings_what_the_simulator_brings(interval):
+    env = NavEnv("complex_train", 4, camera=CAMERA, frame_interval=interval, seed=3)
     simulator = Simulator(load_world("complex_train"), 4, camera=CAMERA, seed=3)
     state, seen = env.reset(), simulator.reset()
-    frames = [np.repeat(seen.depth[:, None], NUM_FRAMES, axis=1)]
+    np.testing.assert_array_equal(state["depth"], np.repeat(seen.depth[:, None], NUM_FRAMES, axis=1))
+    np.testing.assert_allclose(state["command"], np.tile(INITIAL_COMMAND, (4, 1)))
+    images = [seen.depth] * (3 * interval + 1)
     generator = np.random.default_rng(0)
     for _ in range(12):
         actions = generator.integers(0, 7, 4)
         state, moved = act(env, state, actions)["next"], simulator.step(actions)
-        frames.append(np.concatenate([frames[-1][:, 1:], moved.depth[:, None]], axis=1))
-        np.testing.assert_array_equal(state["depth"], frames[-1])
+        images.append(moved.depth)
+        np.testing.assert_array_equal(state["depth"], np.stack(images[-1 - 3 * interval :: interval], axis=1))
+        np.testing.assert_allclose(state["command"], simulator.commands, rtol=1e-6)
         np.testing.assert_array_equal(state["heading"][:, 0], moved.heading)
         np.testing.assert_array_equal(state["pose"], moved.pose)
         for key in ("reward", "terminated", "truncated", "success", "collision", "bumper", "too_near"):

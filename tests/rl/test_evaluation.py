@@ -169,15 +169,18 @@ def test_lengths_of_a_straight_drive():
     assert path.spl == pytest.approx(path.shortest_path_length / path.path_length, abs=1e-9)
 
 
-def test_policies_see_the_last_four_images_and_what_begins():
+@pytest.mark.parametrize("interval", [1, 3])
+def test_policies_see_the_last_four_images_and_what_begins(interval):
     seen = []
 
     def look(state):
-        seen.append(state.select("depth", "heading", "pose", "is_init").clone())
+        seen.append(state.select("depth", "heading", "command", "pose", "is_init").clone())
         return ahead(state)
 
-    drive(look, num_paths=1)
-    first, second, *_, fifth = seen[:5]
+    path = drive(look, num_paths=1, frame_interval=interval).paths[0]
+    first, second, fifth = seen[0], seen[1], seen[1 + 3 * interval]
+    np.testing.assert_allclose(torch.cat([state["command"] for state in seen]), path.commands[:-1], rtol=1e-6)
+    assert path.commands[:2].tolist() == [[0.2, 0.0], [0.4, 0.0]]
     assert first["depth"].shape == (1, 4, 16, 20)
     assert first["depth"].dtype == torch.uint8
     assert first["heading"].shape == (1, 1)

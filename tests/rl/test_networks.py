@@ -33,10 +33,12 @@ def pad_as_tensorflow(images: torch.Tensor, kernel: tuple[int, int], stride: int
     return F.pad(images, (*border[1], *border[0]))
 
 
-def plain_action_values(network: D3QN, depth: torch.Tensor, heading: torch.Tensor) -> torch.Tensor:
+def plain_action_values(
+    network: D3QN, depth: torch.Tensor, heading: torch.Tensor, command: torch.Tensor | None = None
+) -> torch.Tensor:
     """Q as design and thesis define it: images from 0 to 1, a real heading plane, two separate streams."""
-    images = depth.float() / 255
-    angle = (heading + math.pi) / (2 * math.pi)
+    images = depth.float() / 255 * ("depth" in network.inputs)
+    angle = (heading + math.pi) / (2 * math.pi) * ("heading" in network.inputs)
     if network.model == "I":
         plane = angle[:, :, None, None].expand(-1, -1, *images.shape[-2:])
         images = torch.cat([images, plane], dim=1)
@@ -45,6 +47,8 @@ def plain_action_values(network: D3QN, depth: torch.Tensor, heading: torch.Tenso
     features = torch.stack([image.permute(1, 2, 0).flatten() for image in images])
     if network.model == "S":
         features = torch.cat([features, angle], dim=1)
+    if command is not None:
+        features = torch.cat([features, command / torch.tensor([0.4, math.pi / 4])], dim=1)
     weight, bias = network.streams.weight, network.streams.bias
     value = network.value(F.relu(F.linear(features, weight[:512], bias[:512])))
     advantage = network.advantage(F.relu(F.linear(features, weight[512:], bias[512:])))
@@ -111,6 +115,37 @@ def test_action_values_and_gradients_are_those_of_the_plain_definition(model, he
     torch.testing.assert_close(ours, plain, rtol=1e-4, atol=1e-4)
     for gradient, reference in zip(gradients, expected, strict=True):
         torch.testing.assert_close(gradient, reference, rtol=1e-3, atol=1e-4 * float(reference.abs().max()))
+
+
+@pytest.mark.parametrize("model", ["I", "S"])
+@pytest.mark.parametrize("inputs", [("depth",), ("heading",), ("depth", "heading", "command"), ("heading", "command")])
+def test_variants_see_what_they_are_said_to(model, inputs):
+    torch.manual_seed(0)
+    network = D3QN(model, 33, 90, inputs)
+    for parameter in network.parameters():
+        parameter.data.add_(0.05 * torch.randn_like(parameter))
+    depth, heading = observations(5, height=33, width=90)
+    command = torch.stack([torch.rand(5) * 0.4, (torch.rand(5) * 2 - 1) * math.pi / 4], dim=1)
+    seen = (depth, heading, command) if "command" in inputs else (depth, heading)
+
+    values = network(*seen)
+
+    torch.testing.assert_close(values, plain_action_values(network, *seen), rtol=1e-4, atol=1e-4)
+    others = [observations(5, height=33, width=90)[i] for i in range(2)] + [command.flip(0)]
+    for index, name in enumerate(("depth", "heading", "command")[: len(seen)]):
+        changed = network(*(others[i] if i == index else value for i, value in enumerate(seen)))
+        assert torch.equal(changed, values) == (name not in inputs)
+    actor = make_q_actor(model, 33, 90, inputs)
+    out = actor(TensorDict({"depth": depth, "heading": heading, "command": command}, [5]))
+    torch.testing.assert_close(out["action_value"], actor.module[0].module(*seen))
+
+
+def test_a_missing_command_and_unknown_inputs_are_told():
+    with pytest.raises(ValueError, match="sees the robot's command, too"):
+        D3QN("I", 10, 14, ("depth", "command"))(*observations(2, height=10, width=14))
+    for inputs in ((), ("command",), ("depth", "sonar")):
+        with pytest.raises(ValueError, match="inputs must be some of depth, heading, command"):
+            D3QN("I", 10, 14, inputs)
 
 
 @pytest.mark.parametrize("model", ["I", "S"])
@@ -201,10 +236,14 @@ def test_settings_that_cannot_be_used_are_refused():
 @pytest.mark.parametrize("model", ["I", "S"])
 @pytest.mark.parametrize("double", [True, False])
 @pytest.mark.parametrize(("height", "width"), SIZES)
-def test_an_update_sees_the_hidden_layers_that_each_network_would_have(model, double, height, width):
+@pytest.mark.parametrize("command", [False, True])
+def test_an_update_sees_the_hidden_layers_that_each_network_would_have(model, double, height, width, command):
     torch.manual_seed(0)
-    online, target = D3QN(model, height, width), D3QN(model, height, width)
-    observation, next_observation = (observations(11, height=height, width=width) for _ in range(2))
+    inputs = ("depth", "heading", "command") if command else ("depth", "heading")
+    online, target = D3QN(model, height, width, inputs), D3QN(model, height, width, inputs)
+    observation, next_observation = (
+        (*observations(11, height=height, width=width), *([torch.randn(11, 2)] if command else [])) for _ in range(2)
+    )
 
     results = hidden_of_update(online, target, observation, next_observation, double=double)
 

@@ -24,11 +24,14 @@ GAMMA = 0.9
 class Environments:
     """N endless streams of random steps, as an environment and a TorchRL collector produce them."""
 
-    def __init__(self, count: int, *, seed: int = 0, end_probability: float = 0.2, shades: int = 256) -> None:
+    def __init__(
+        self, count: int, *, seed: int = 0, end_probability: float = 0.2, shades: int = 256, interval: int = 1
+    ) -> None:
         self.random = np.random.default_rng(seed)
         self.count = count
         self.end_probability = end_probability
         self.shades = shades
+        self.interval = interval
         self.reset()
 
     def _images(self) -> np.ndarray:
@@ -37,21 +40,28 @@ class Environments:
     def _headings(self) -> np.ndarray:
         return self.random.uniform(-3, 3, (self.count, 1)).astype(np.float32)
 
+    def _commands(self) -> np.ndarray:
+        return self.random.uniform(-1, 1, (self.count, 2)).astype(np.float32)
+
     def reset(self) -> None:
         """Begins new episodes everywhere, without a word to whoever records."""
-        self.depth, self.heading = np.repeat(self._images(), 4, axis=1), self._headings()
+        self.images = np.repeat(self._images(), 3 * self.interval + 1, axis=1)
+        self.heading, self.command = self._headings(), self._commands()
 
     def _step(self) -> dict:
         terminated, truncated = self.random.random((2, self.count, 1)) < self.end_probability / 2
         done = terminated | truncated
-        next_depth, next_heading = np.concatenate([self.depth[:, 1:], self._images()], axis=1), self._headings()
+        next_images = np.concatenate([self.images[:, 1:], self._images()], axis=1)
+        next_heading, next_command = self._headings(), self._commands()
         step = {
-            "depth": self.depth,
+            "depth": self.images[:, :: self.interval],
             "heading": self.heading,
+            "command": self.command,
             "action": self.random.integers(0, 7, self.count),
             "next": {
-                "depth": next_depth,
+                "depth": next_images[:, :: self.interval],
                 "heading": next_heading,
+                "command": next_command,
                 "reward": self.random.normal(size=(self.count, 1)).astype(np.float32),
                 "done": done,
                 "terminated": terminated,
@@ -59,8 +69,9 @@ class Environments:
             },
         }
         self.reset()
-        self.depth = np.where(done[..., None, None], self.depth, next_depth)
+        self.images = np.where(done[..., None, None], self.images, next_images)
         self.heading = np.where(done, self.heading, next_heading)
+        self.command = np.where(done, self.command, next_command)
         return step
 
     def rollout(self, steps: int) -> TensorDict:
@@ -70,8 +81,9 @@ class Environments:
 KEYS = [
     "depth",
     "heading",
+    "command",
     "action",
-    *(("next", key) for key in ("depth", "heading", "reward", "done", "terminated")),
+    *(("next", key) for key in ("depth", "heading", "command", "reward", "done", "terminated")),
 ]
 
 
@@ -92,7 +104,7 @@ class NaiveReplay:
         for i, stream in enumerate(self.streams):
             for t in range(batch.shape[1]):
                 step = {key: array[i, t] for key, array in arrays.items()}
-                if stream and not np.array_equal(stream[-1]["next", "depth"], step["depth"]):
+                if stream and not np.array_equal(stream[-1]["next", "heading"], step["heading"]):
                     stream[-1]["next", "done"] = np.array([True])  # no step follows this one
                 stream.append(step)
         transitions = []
@@ -121,7 +133,7 @@ class NaiveReplay:
 
 def assert_same_content(data: TensorDict, expected: TensorDict) -> None:
     assert data.batch_size == expected.batch_size
-    for key in (*KEYS, "steps_to_next_obs"):
+    for key in (*(key for key in KEYS if key in data.keys(True)), "steps_to_next_obs"):
         torch.testing.assert_close(data[key], expected[key], rtol=1e-5, atol=1e-6)
 
 
@@ -132,15 +144,26 @@ def assert_same_content(data: TensorDict, expected: TensorDict) -> None:
     n_step=st.integers(1, 4),
     capacity=st.integers(1, 40),
     end_probability=st.sampled_from([0.0, 0.2, 0.9]),
-    shades=st.sampled_from([2, 256]),
+    shades=st.sampled_from([1, 2, 256]),
+    interval=st.integers(1, 3),
+    command=st.booleans(),
     batches=st.lists(st.tuples(st.integers(1, 6), st.booleans(), st.booleans()), min_size=1, max_size=10),
 )
 def test_content_is_that_of_a_replay_that_stores_everything(
-    seed, environments, n_step, capacity, end_probability, shades, batches
+    seed, environments, n_step, capacity, end_probability, shades, interval, command, batches
 ):
     """Also where the ring wraps, where images are equal by chance, and where the collector is reset."""
-    world = Environments(environments, seed=seed, end_probability=end_probability, shades=shades)
-    replay = make_replay(capacity, HEIGHT, WIDTH, batch_size=5, n_step=n_step, gamma=GAMMA)
+    world = Environments(environments, seed=seed, end_probability=end_probability, shades=shades, interval=interval)
+    replay = make_replay(
+        capacity,
+        HEIGHT,
+        WIDTH,
+        batch_size=5,
+        n_step=n_step,
+        gamma=GAMMA,
+        command=command,
+        frame_interval=interval,
+    )
     naive = NaiveReplay(capacity, n_step)
     for length, reset_before, reset_within in batches:
         if reset_before:
@@ -154,6 +177,7 @@ def test_content_is_that_of_a_replay_that_stores_everything(
         batch.zero_()  # collectors may reuse their memory
         assert len(replay) == len(naive.ring)
         if len(replay):
+            assert ("command" in replay[:]) == command
             assert_same_content(replay[:], naive.read())
     if len(replay):
         sample = replay.sample()
@@ -169,11 +193,20 @@ class AnyUse(RuleBasedStateMachine):
         n_step=st.integers(1, 4),
         capacity=st.integers(5, 30),
         prioritized=st.booleans(),
+        interval=st.integers(1, 3),
     )
-    def begin(self, seed, environments, n_step, capacity, prioritized):
-        self.world = Environments(environments, seed=seed, shades=4)
+    def begin(self, seed, environments, n_step, capacity, prioritized, interval):
+        self.world = Environments(environments, seed=seed, shades=4, interval=interval)
         self.make = lambda: make_replay(
-            capacity, HEIGHT, WIDTH, batch_size=5, n_step=n_step, gamma=GAMMA, prioritized=prioritized
+            capacity,
+            HEIGHT,
+            WIDTH,
+            batch_size=5,
+            n_step=n_step,
+            gamma=GAMMA,
+            prioritized=prioritized,
+            command=True,
+            frame_interval=interval,
         )
         self.replay, self.naive = self.make(), NaiveReplay(capacity, n_step)
 
@@ -385,7 +418,15 @@ def test_prioritised_samples_follow_the_errors():
 def test_half_of_a_mirrored_sample_is_the_mirror_image():
     world = Environments(1)
     plain, mirrored = (
-        make_replay(50, HEIGHT, WIDTH, batch_size=9, mirror=mirror, generator=torch.Generator().manual_seed(3))
+        make_replay(
+            50,
+            HEIGHT,
+            WIDTH,
+            batch_size=9,
+            mirror=mirror,
+            command=True,
+            generator=torch.Generator().manual_seed(3),
+        )
         for mirror in (False, True)
     )
     batch = world.rollout(40)
@@ -397,13 +438,14 @@ def test_half_of_a_mirrored_sample_is_the_mirror_image():
         for part in (expected, expected["next"]):
             part["depth"][i] = torch.from_numpy(np.flip(part["depth"][i].numpy(), axis=-1).copy())
             part["heading"][i] *= -1
+            part["command"][i] *= torch.tensor([1.0, -1.0])
     assert (sample == expected).all()
     assert_same_content(mirrored[:][20:], plain[:][20:])
     assert (mirrored.storage[:] == plain.storage[:]).all()  # what is stored stays as it is
 
 
 def test_data_that_cannot_be_stored_is_refused():
-    for setting in ({"capacity": 0}, {"batch_size": 0}, {"n_step": 0}):
+    for setting in ({"capacity": 0}, {"batch_size": 0}, {"n_step": 0}, {"frame_interval": 0}):
         (name,) = setting
         with pytest.raises(ValueError, match=f"{name} of a replay must be at least 1; got 0"):
             make_replay(**{"capacity": 10, "height": HEIGHT, "width": WIDTH, "batch_size": 2, **setting})
@@ -411,5 +453,12 @@ def test_data_that_cannot_be_stored_is_refused():
     replay.extend(Environments(2).rollout(3))
     with pytest.raises(ValueError, match="knows 2 environments, and now got 3"):
         replay.extend(Environments(3).rollout(3))
-    with pytest.raises(ValueError, match="moved on by one image"):
+    with pytest.raises(ValueError, match="moved on by one step"):
         replay.extend(Environments(2).rollout(3).set("depth", torch.zeros(2, 3, 4, HEIGHT, WIDTH, dtype=torch.uint8)))
+    apart = make_replay(10, HEIGHT, WIDTH, batch_size=2, frame_interval=2)
+    with pytest.raises(ValueError, match=r"moved on by one step.*with 2 steps from one image to the next"):
+        apart.extend(Environments(2, end_probability=0.0).rollout(5))
+    begun_in_the_middle = Environments(2, end_probability=0.0, interval=2)
+    begun_in_the_middle.rollout(5)
+    with pytest.raises(ValueError, match="begins with images that differ"):
+        make_replay(10, HEIGHT, WIDTH, batch_size=2, frame_interval=2).extend(begun_in_the_middle.rollout(3))

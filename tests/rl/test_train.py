@@ -45,7 +45,11 @@ def test_a_run_leaves_what_it_promises(run):
     assert run.config == small_config(run.directory)
 
 
-@pytest.mark.parametrize("settings", [{}, {"prioritized": True}], ids=["evenly", "prioritized"])
+@pytest.mark.parametrize(
+    "settings",
+    [{}, {"prioritized": True}, {"inputs": ("depth", "heading", "command"), "frame_interval": 3}],
+    ids=["evenly", "prioritized", "more-inputs"],
+)
 def test_the_same_seed_gives_the_same_run(tmp_path, settings):
     first = train(small_config(tmp_path / "a", total_steps=384, **settings), console=QUIET)
     second = train(small_config(tmp_path / "b", total_steps=384, **settings), console=QUIET)

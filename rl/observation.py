@@ -1,0 +1,49 @@
+"""What a network can see: depth images some steps apart, the heading of the goal, and the robot's own command."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import TYPE_CHECKING, Literal, get_args
+
+if TYPE_CHECKING:  # settings are checked before what takes long to import is imported
+    from torch import Tensor
+
+Model = Literal["I", "S"]
+"""Where the heading enters: as an image plane, or as a scalar beside the features."""
+
+Input = Literal["depth", "heading", "command"]
+"""Depth images, the heading of the goal, and the command (v, ω) in force."""
+
+DEPTH_AND_HEADING: tuple[Input, ...] = ("depth", "heading")
+"""The inputs of the thesis."""
+
+NUM_FRAMES = 4
+"""Depth images in an observation."""
+
+
+def check_inputs(inputs: Collection[str]) -> None:
+    """Raises :class:`ValueError` unless a network can see these, in one sentence."""
+    known = get_args(Input)
+    if set(inputs) - set(known) or not {"depth", "heading"} & set(inputs):
+        raise ValueError(
+            f"inputs must be some of {', '.join(known)}, depth or heading among them; got {', '.join(inputs) or 'none'}"
+        )
+
+
+def keys_of(inputs: Collection[Input]) -> list[str]:
+    """What a network with these inputs is called with: an input that it does not see is a zero to it."""
+    return ["depth", "heading", *(["command"] if "command" in inputs else [])]
+
+
+def history_length(interval: int) -> int:
+    """Images to keep for a stack whose images are ``interval`` steps apart, the current one included.
+
+    >>> history_length(1), history_length(3)
+    (4, 10)
+    """
+    return (NUM_FRAMES - 1) * interval + 1
+
+
+def stack_of(history: Tensor) -> Tensor:
+    """The stack, ``(N, 4, H, W)``, in a history ``(N, history_length(interval), H, W)``; oldest first, a view."""
+    return history[:, :: (history.shape[1] - 1) // (NUM_FRAMES - 1)]

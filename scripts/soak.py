@@ -1,0 +1,247 @@
+"""Trains at full speed for hours and watches what must not grow: python scripts/soak.py --help
+
+Samples resident memory, open files, processes and /dev/shm of ``navsim train`` and all its processes, and how many
+transitions it makes a second of processor time; then judges and draws them. The run is an ordinary one: it can be
+resumed, evaluated, and used.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import platform
+import shlex
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import tyro
+from matplotlib.ticker import EngFormatter
+from rich.console import Console
+
+from navsim.draw import INK, QUIET_INK, new_figure, save_figure
+from rl.run import Run, atomic_write, processor, versions
+
+SAMPLE_SECONDS = 5.0
+"""Between two looks at the processes."""
+SETTINGS = (
+    *["--world", "generate:clutter,density=0.11,count=400", "--collector", "async", "--total-steps"],
+    "10000000",
+)
+MEMORY_WINDOW = 600.0
+"""Seconds whose median memory is compared with other such windows': evaluations and checkpoints come and go within."""
+WARM_UP = 1.2
+"""Times the replay's capacity, in transitions: by then all its memory has been written to."""
+MOST_MEMORY_CHANGE = 0.02
+MOST_SPEED_CHANGE = 0.05
+
+
+def main(
+    settings: tuple[str, ...] = SETTINGS,
+    /,
+    hours: float = 2.0,
+    run: Path = Path("runs/soak"),
+    results: Path = Path("docs/results/soak.json"),
+    picture: Path = Path("docs/images/soak.png"),
+    redraw: bool = False,
+) -> None:
+    """Train, watch, judge, draw.
+
+    Args:
+        settings: What "navsim train" takes besides, after a "--".
+        hours: How long to watch; a run that is not finished by then is interrupted as by Ctrl-C, and can be resumed.
+        run: Directory of the run; one that is there is gone on with.
+        results: File for what was measured, JSON.
+        picture: File for the picture.
+        redraw: Judge and draw the file of results instead of training.
+    """
+    console = Console()
+    if redraw:
+        measured = json.loads(results.read_text(encoding="utf-8"))
+    else:
+        measured = watch(hours, run, list(settings), console)
+        results.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_write(results) as file:
+            json.dump(measured, file)
+    verdicts = judge(measured)
+    picture.parent.mkdir(parents=True, exist_ok=True)
+    draw(measured, verdicts, picture)
+    for verdict in verdicts.values():
+        console.print(f"{'passed' if verdict['passed'] else 'FAILED'}  {verdict['text']}", highlight=False)
+    sys.exit(0 if all(verdict["passed"] for verdict in verdicts.values()) else 1)
+
+
+def watch(hours: float, directory: Path, settings: list[str], console: Console) -> dict[str, Any]:
+    """Starts training and samples its processes until it ends, or the time is over."""
+    command = ["train", "--resume", "--no-report", "--out", str(directory), *settings]
+    console.print(f"navsim {shlex.join(command)}", soft_wrap=True, highlight=False)
+    samples: list[dict[str, float]] = []
+    shared_before = shared_memory()
+    begin = time.monotonic()
+    with tempfile.TemporaryFile("w+") as output:
+        process = subprocess.Popen([sys.executable, "-m", "rl.cli", *command], stdout=output, stderr=subprocess.STDOUT)
+        trainer = psutil.Process(process.pid)
+        past: dict[int, float] = {}
+        with console.status("starting") as status:
+            while process.poll() is None:
+                seconds = time.monotonic() - begin
+                if seconds > 3600.0 * hours:
+                    process.send_signal(signal.SIGINT)
+                    process.wait()
+                    break
+                if sample := look_at(trainer, past):
+                    step = last_step(directory)
+                    samples.append({"seconds": seconds, "step": step, "shm": shared_memory() - shared_before} | sample)
+                    status.update(
+                        f"{seconds / 60.0:.0f} of {60.0 * hours:.0f} min, step {step:,},"
+                        f" {sample['pss'] / 2**20:.0f} MiB, {sample['files']} files"
+                    )
+                time.sleep(SAMPLE_SECONDS)
+        if process.returncode not in (0, 128 + signal.SIGINT):
+            output.seek(0)
+            sys.exit(f"navsim train has failed, exit status {process.returncode}:\n{output.read()[-4000:]}")
+    left = [other for other in past if other != process.pid and psutil.pid_exists(other)]
+    return {
+        "command": f"navsim {shlex.join(command)}",
+        "machine": f"{processor()}, {psutil.cpu_count()} processors, {platform.system()}",
+        "versions": versions(),
+        "replay_capacity": Run(directory).config.replay_capacity,
+        "evaluation_interval": Run(directory).config.eval_interval,
+        "processes_left": len(left),
+        "shared_memory_left": shared_memory() - shared_before,
+        "samples": {key: [sample[key] for sample in samples] for key in samples[0]},
+    }
+
+
+def look_at(trainer: psutil.Process, past: dict[int, float]) -> dict[str, float]:
+    """Memory, open files and processor time of a process and its descendants; nothing if it is just ending.
+
+    Args:
+        trainer: the process.
+        past: processor time by process, which is kept of those that have ended.
+    """
+    memory = files = processes = 0
+    try:
+        family = [trainer, *trainer.children(recursive=True)]
+    except psutil.NoSuchProcess:
+        return {}
+    for member in family:
+        try:
+            memory += member.memory_full_info().pss  # shared pages are counted once
+            files += member.num_fds()
+            times = member.cpu_times()
+        except (psutil.NoSuchProcess, psutil.AccessDenied):
+            continue
+        processes += 1
+        past[member.pid] = times.user + times.system
+    cpu = sum(past.values())
+    return {"pss": memory, "files": files, "processes": processes, "cpu": cpu} if memory else {}
+
+
+def last_step(directory: Path) -> int:
+    """Transitions that the run has logged."""
+    try:
+        with (directory / "metrics.csv").open(encoding="utf-8") as file:
+            steps = [row["step"] for row in csv.DictReader(file)]
+        return int(steps[-1]) if steps else 0
+    except (OSError, ValueError, TypeError, KeyError):
+        return 0  # not written yet, or just being written
+
+
+def shared_memory() -> int:
+    """Bytes in /dev/shm."""
+    return sum(path.stat().st_size for path in Path("/dev/shm").glob("*") if path.is_file())
+
+
+def judge(measured: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """What must be flat, and whether it is."""
+    seconds, step, memory, files, cpu = (
+        np.array(measured["samples"][key], float) for key in ("seconds", "step", "pss", "files", "cpu")
+    )
+    warm = step >= step[0] + WARM_UP * measured["replay_capacity"]
+    if np.count_nonzero(warm) < 4 or seconds[-1] - seconds[warm][0] < 2 * MEMORY_WINDOW:
+        sys.exit("the run was too short to judge: its replay must be full, and 20 minutes more")
+    medians = window_medians(seconds[warm], memory[warm])
+    memory_change = (medians.max() - medians.min()) / np.median(medians)
+    first, last = (np.max(part) for part in np.array_split(files[warm], 4)[::3])
+    speeds = window_speeds(step[warm], cpu[warm], 2 * measured["evaluation_interval"])
+    speed_change = np.abs(speeds / np.median(speeds) - 1.0).max()
+    return {
+        "memory": {
+            "passed": bool(memory_change <= MOST_MEMORY_CHANGE),
+            "text": f"memory: medians of {len(medians)} windows of {MEMORY_WINDOW / 60:.0f} min differ by "
+            f"{memory_change:.1%} ({np.median(medians) / 2**20:.0f} MiB; greatest {memory.max() / 2**20:.0f} MiB); "
+            f"{MOST_MEMORY_CHANGE:.0%} are allowed",
+        },
+        "files": {
+            "passed": bool(last <= first),
+            "text": f"open files: at most {first:.0f} in the first quarter after warm-up, {last:.0f} in the last",
+        },
+        "speed": {
+            "passed": bool(speed_change <= MOST_SPEED_CHANGE),
+            "text": f"speed: {np.median(speeds):.0f} transitions a second of processor time; {len(speeds)} windows of "
+            f"{2 * measured['evaluation_interval']:,} transitions differ from it by at most {speed_change:.1%}; "
+            f"{MOST_SPEED_CHANGE:.0%} are allowed",
+        },
+        "left": {
+            "passed": measured["processes_left"] == 0 and measured["shared_memory_left"] <= 0,
+            "text": f"left behind: {measured['processes_left']} processes, "
+            f"{max(0, measured['shared_memory_left'])} bytes of shared memory",
+        },
+    }
+
+
+def window_medians(seconds: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Medians of windows of ``MEMORY_WINDOW``; an incomplete one at the end is left out."""
+    number = ((seconds - seconds[0]) // MEMORY_WINDOW).astype(int)
+    return np.array([np.median(values[number == window]) for window in range(max(1, number[-1]))])
+
+
+def window_speeds(step: np.ndarray, cpu: np.ndarray, width: int) -> np.ndarray:
+    """Transitions a second of processor time, of windows of ``width`` transitions; only times of new rows count."""
+    new = np.flatnonzero(np.diff(step, prepend=step[0]) > 0)
+    marks = np.arange(step[new[0]], step[new[-1]] + 1, width)
+    at = np.interp(marks, step[new], cpu[new])
+    return width / np.diff(at)
+
+
+def draw(measured: dict[str, Any], verdicts: dict[str, dict[str, Any]], path: Path) -> None:
+    """Memory, files and speed over the hours."""
+    samples = {key: np.array(values, float) for key, values in measured["samples"].items()}
+    minutes = samples["seconds"] / 60.0
+    warm = samples["step"] >= samples["step"][0] + WARM_UP * measured["replay_capacity"]
+    figure = new_figure(9.0, 7.0)
+    memory, files, speed = figure.subplots(3, 1, sharex=True)
+    memory.plot(minutes, samples["pss"] / 2**20, color="#2b6cb0", lw=0.8)
+    memory.set_ylim(0, 1.15 * samples["pss"].max() / 2**20)
+    memory.set_ylabel("memory, MiB")
+    files.plot(minutes, samples["files"], color="#2b6cb0", lw=0.8)
+    files.set_ylim(0, 1.3 * samples["files"].max())
+    files.set_ylabel("open files")
+    width = measured["evaluation_interval"]
+    new = np.flatnonzero(np.diff(samples["step"], prepend=samples["step"][0]) > 0)
+    marks = np.arange(samples["step"][new[0]], samples["step"][new[-1]] + 1, width)
+    at, when = (np.interp(marks, samples["step"][new], values[new]) for values in (samples["cpu"], minutes))
+    speed.step(when[1:], width / np.diff(at), where="pre", color="#2b6cb0", lw=1.2)
+    speed.set_ylim(bottom=0)
+    speed.set_ylabel("transitions / s of\nprocessor time")
+    speed.set_xlabel("minutes")
+    for axes, name in ((memory, "memory"), (files, "files"), (speed, "speed")):
+        axes.axvspan(0, minutes[warm][0], color="#eef1f4", lw=0)
+        axes.set_title(verdicts[name]["text"], fontsize=8, loc="left", color=INK)
+        axes.tick_params(labelsize=8, colors=QUIET_INK)
+        axes.yaxis.label.set_size(8)
+        axes.yaxis.set_major_formatter(EngFormatter())
+        axes.spines[["top", "right"]].set_visible(False)
+    memory.text(minutes[warm][0] / 2, memory.get_ylim()[1] * 0.06, "warm-up", ha="center", fontsize=8, color=QUIET_INK)
+    save_figure(figure, path)
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
