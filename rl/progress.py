@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import torch
@@ -12,6 +12,8 @@ from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.text import Text
 from tensordict import TensorDictBase
+
+from navsim.processes import family_processor_seconds
 
 RECENT_EPISODES = 200
 """Finished episodes that rates and means are taken over."""
@@ -28,6 +30,7 @@ class TrainingProgress:
         self.step = 0
         self.episodes = 0
         self.seconds = 0.0
+        self.processor_seconds = 0.0
         self._reward = torch.zeros(num_envs)
         self._length = torch.zeros(num_envs)
         self._recent: deque[tuple[float, float, float, float]] = deque(maxlen=RECENT_EPISODES)
@@ -67,6 +70,7 @@ class TrainingProgress:
             "step": self.step,
             "episodes": self.episodes,
             "seconds": self.seconds,
+            "processor_seconds": self.processor_seconds,
             "success_rate": success,
             "collision_rate": collision,
             "timeout_rate": None if success is None or collision is None else max(0.0, 1.0 - success - collision),
@@ -99,6 +103,7 @@ class TrainingProgress:
             "step": self.step,
             "episodes": self.episodes,
             "seconds": self.seconds,
+            "processor_seconds": self.processor_seconds,
             "recent": list(self._recent),
             "losses": list(self._losses),
             "q": list(self._q),
@@ -106,7 +111,8 @@ class TrainingProgress:
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Goes on from ``state_dict``."""
-        self.step, self.episodes, self.seconds = (state_dict[key] for key in ("step", "episodes", "seconds"))
+        self.step, self.episodes = state_dict["step"], state_dict["episodes"]
+        self.seconds, self.processor_seconds = state_dict["seconds"], state_dict["processor_seconds"]
         self._recent.extend(tuple(entry) for entry in state_dict["recent"])
         self._losses.extend(state_dict["losses"])
         self._q.extend(state_dict["q"])
@@ -122,18 +128,25 @@ class Clock:
     """Seconds of a run, those before an interruption included, and its present speed.
 
     Args:
-        seconds: that had passed before.
-        step: transitions collected before.
+        progress: how far the run was before.
+        children: yields the numbers of the processes that work for this one, as they are then.
     """
 
-    def __init__(self, seconds: float, step: int) -> None:
-        self._begin = time.perf_counter() - seconds
-        self._marks: deque[tuple[float, int]] = deque([(seconds, step)], maxlen=64)
+    def __init__(self, progress: TrainingProgress, children: Callable[[], Iterable[int]]) -> None:
+        self._begin = time.perf_counter() - progress.seconds
+        self._children = children
+        self._processor_begin = family_processor_seconds(children()) - progress.processor_seconds
+        self._marks: deque[tuple[float, int]] = deque([(progress.seconds, progress.step)], maxlen=64)
 
     @property
     def seconds(self) -> float:
         """Since the beginning of the run."""
         return time.perf_counter() - self._begin
+
+    @property
+    def processor_seconds(self) -> float:
+        """Processor time of all the run's processes and their threads, which other programs do not lengthen."""
+        return family_processor_seconds(self._children()) - self._processor_begin
 
     def tick(self, step: int) -> float:
         """Transitions a second, over the last few dozen ticks."""

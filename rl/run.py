@@ -41,16 +41,20 @@ from navsim.worldfile import read_file
 from navsim.worldsource import is_generated
 from rl.config import TrainConfig
 
-FORMAT = 1
-"""Of a run's directory. Format 0, which does not say so, has no copies of worlds, and checkpoints of another kind."""
+FORMAT = 2
+"""Of a run's directory. Format 1 has no processor time in its tables, and format 0, which does not say so, no copies of
+worlds, and checkpoints of another kind."""
 
 METRICS = [
-    *("step", "episodes", "seconds", "steps_per_second"),
+    *("step", "episodes", "seconds", "processor_seconds", "steps_per_second"),
     *("success_rate", "collision_rate", "timeout_rate", "reward", "episode_length"),
     *("loss", "q_mean", "max_q", "epsilon", "learning_rate"),
 ]
 """Columns of metrics.csv."""
-EVALUATIONS = ["step", "seconds", "world", "success_rate", "collision_rate", "timeout_rate", "spl", "reward", "steps"]
+EVALUATIONS = [
+    *("step", "seconds", "processor_seconds", "world"),
+    *("success_rate", "collision_rate", "timeout_rate", "spl", "reward", "steps"),
+]
 """Columns of evaluations.csv."""
 _LIBRARIES = ("torch", "torchrl", "tensordict", "pymunk", "numpy", "pydantic", "scipy")
 

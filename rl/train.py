@@ -162,7 +162,7 @@ def _train(config: TrainConfig, run: Run, resume: bool, console: Console) -> Run
                 collector.update_policy_weights_()
                 progress.abandon_episodes()
         logs.begin(progress)
-        clock = Clock(progress.seconds, progress.step)
+        clock = Clock(progress, lambda: [process.pid for process in getattr(collector, "procs", ())])
         log_due, eval_due, checkpoint_due, handover_due = (
             _Every(interval, progress.step, config.total_steps)
             for interval in (
@@ -189,7 +189,7 @@ def _train(config: TrainConfig, run: Run, resume: bool, console: Console) -> Run
                 if config.collector == "async":
                     collector.update_policy_weights_()
 
-            progress.seconds = clock.seconds
+            progress.seconds, progress.processor_seconds = clock.seconds, clock.processor_seconds
             speed = clock.tick(progress.step)
             status = f"{progress.status()}  ε {float(exploration.eps.mean()):.2f}"
             bar.update(shown, completed=progress.step, status=status, speed=f"{speed:,.0f} steps/s")
@@ -365,6 +365,7 @@ class _Logs:
         row = {
             "step": progress.step,
             "seconds": progress.seconds,
+            "processor_seconds": progress.processor_seconds,
             "world": self._config.eval_world,
             "success_rate": result.success_rate,
             "collision_rate": result.collision_rate,

@@ -28,7 +28,7 @@ from rl.learner import Learner
 from rl.run import Run, RunError, Table, settings_of, write_json
 from rl.train import train
 
-WALL_CLOCK = ("seconds", "steps_per_second")
+TIMES = ("seconds", "processor_seconds", "steps_per_second")
 
 
 def config(out: Path, **settings: Any) -> TrainConfig:
@@ -84,7 +84,7 @@ def assert_equal(one: Any, other: Any) -> None:
 
 
 def without_clock(table: Table) -> list[dict[str, str]]:
-    return [{key: value for key, value in row.items() if key not in WALL_CLOCK} for row in table.rows()]
+    return [{key: value for key, value in row.items() if key not in TIMES} for row in table.rows()]
 
 
 def hidden_files(directory: Path) -> list[Path]:

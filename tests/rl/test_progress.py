@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import time
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -51,6 +55,27 @@ def test_it_goes_on_from_its_state():
 
 
 def test_the_clock_counts_what_passed_before():
-    assert 100.0 <= Clock(seconds=100.0, step=0).seconds < 101.0
-    clock = Clock(seconds=100.0, step=500)
+    progress = TrainingProgress(1)
+    progress.seconds, progress.processor_seconds, progress.step = 100.0, 150.0, 500
+    clock = Clock(progress, list)
+    assert 100.0 <= clock.seconds < 101.0
+    assert 150.0 <= clock.processor_seconds < 151.0
     assert clock.tick(600) > 0
+
+
+def test_processor_time_is_that_of_all_processes_and_of_their_work_alone():
+    """Another process that is at work, and one that has ended, count; waiting does not."""
+    at_work: list[int] = []
+    clock = Clock(TrainingProgress(1), lambda: at_work)
+    work = "import time\nwhile time.process_time() < 0.5: pass\nprint(flush=True)\ninput()"
+    before = clock.processor_seconds
+    other = subprocess.Popen([sys.executable, "-c", work], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    other.stdout.readline()
+    time.sleep(0.5)
+    assert clock.processor_seconds - before < 0.4
+    at_work.append(other.pid)
+    while_at_work = clock.processor_seconds - before
+    assert 0.45 < while_at_work < 1.2
+    at_work.clear()
+    other.communicate(b"\n")
+    assert 0.45 < clock.processor_seconds - before < 1.2

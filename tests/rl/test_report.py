@@ -56,6 +56,7 @@ def run(tmp_path_factory):
         {
             "step": 12000,
             "seconds": 15.0,
+            "processor_seconds": 28.0,
             "world": "hall",
             "success_rate": 0.5,
             "collision_rate": 0.5,

@@ -1,0 +1,304 @@
+"""What each part of learning is worth: runs that differ from one another in one thing, side by side.
+
+A *row* is the base, or the base with some settings changed. Each row is trained with several seeds; the last weights,
+which nobody has chosen, then drive the paths of ``complex_eval`` and of generated rooms that no run has trained in.
+Finished runs are skipped, and interrupted ones go on, so that rows can be added one evening at a time.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shlex
+import statistics
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+from rich.console import Console
+
+from navsim.draw import INK, QUIET_INK, new_figure, save_figure
+from rl.config import PRESETS, TrainConfig
+from rl.evaluation import Evaluation, evaluate
+from rl.policies import load_policy
+from rl.run import Run, atomic_write, processor, versions, write_json
+from rl.train import train
+
+DENSITY = 0.11
+"""Share of the floor under obstacles in generated rooms, as in ``complex_eval``."""
+UNSEEN_ROOMS = f"generate:clutter,density={DENSITY},count=200"
+"""Rooms that no run trains in, whose seeds lie elsewhere (``navsim.worldsource.TRAINING_SEED``)."""
+UNSEEN_PATHS = 1000
+EQUAL_MINUTES = 20
+"""Of processor time, at which runs that cost more or less a step are compared, too."""
+
+
+_INTRODUCTION = f"""# Ablations
+
+What each part of learning is worth: runs that differ from the base in one thing. Success and SPL are those of the
+last weights, greedy: in `complex_eval` (100 paths), and in 200 generated rooms of the same density that no run has
+trained in ({UNSEEN_PATHS:,} paths); the mean over the seeds, and each seed. Success at {EQUAL_MINUTES} minutes is that
+of the last evaluation in `complex_eval` within {EQUAL_MINUTES} minutes of processor time: there the learning rate has
+not come down yet. `scripts/ablations.py` trains, evaluates and writes this page, and the JSON behind it in
+[{{results}}]({{results}}).
+"""
+
+
+def _rooms(count: int) -> dict[str, Any]:
+    return {"world": (f"generate:clutter,density={DENSITY},count={count}",)}
+
+
+BASE: dict[str, Any] = {**_rooms(400), "num_threads": 1, "report": False}
+"""What all rows share, in place of the preset "fast"'s settings."""
+
+
+class Row(NamedTuple):
+    """One way to train."""
+
+    what: str
+    """Is different, in a few words."""
+    changes: dict[str, Any]
+    """Settings in place of the base's."""
+
+    def config(self, name: str, seed: int, directory: Path, total_steps: int | None = None) -> TrainConfig:
+        """The settings of a run."""
+        settings = {**BASE, **self.changes, "seed": seed, "out": directory / f"{name}-seed{seed}"}
+        if total_steps is not None:
+            settings["total_steps"] = total_steps
+        return dataclasses.replace(PRESETS["fast"], **settings)
+
+
+ROWS: dict[str, Row] = {
+    "base": Row("preset fast, D3QN-I, in 400 generated rooms", {}),
+    "S": Row("D3QN-S", {"model": "S"}),
+    "command": Row("sees its command (v, ω), too", {"inputs": ("depth", "heading", "command")}),
+    "apart": Row("images three steps apart", {"frame_interval": 3}),
+    "command-apart": Row("both of these", {"inputs": ("depth", "heading", "command"), "frame_interval": 3}),
+    "S-command-apart": Row(
+        "both of these, D3QN-S", {"model": "S", "inputs": ("depth", "heading", "command"), "frame_interval": 3}
+    ),
+    "depth-only": Row("sees no heading", {"inputs": ("depth",)}),
+    "blind": Row("sees no images", {"inputs": ("heading",)}),
+    "one-room": Row("in one room, complex_train", {"world": ("complex_train",), "rearrangements": 0}),
+    "rearranged": Row("in complex_train and 100 rearrangements of it", {"world": ("complex_train",)}),
+    "rooms-50": Row("in 50 generated rooms", _rooms(50)),
+    "rooms-2000": Row("in 2,000 generated rooms", _rooms(2000)),
+    "squared-error": Row("mean squared error instead of a categorical loss", {"loss_function": "l2"}),
+    "huber": Row("Huber's loss instead of a categorical one", {"loss_function": "smooth_l1"}),
+    "n-step-1": Row("one-step returns", {"n_step": 1}),
+    "n-step-3": Row("three-step returns", {"n_step": 3}),
+    "not-mirrored": Row("no mirrored samples", {"mirror": False}),
+    "same-epsilon": Row(
+        "the same share of random actions for all robots", {"epsilon_least": None, "epsilon_end": 0.05}
+    ),
+    "constant-rate": Row("a learning rate that does not fall", {"learning_rate_decay": "none"}),
+    "prioritized": Row("prioritised replay", {"prioritized": True}),
+    "gamma-0.95": Row("a discount of 0.95", {"gamma": 0.95, "greatest_return": 1.8}),
+    "gamma-0.99": Row("a discount of 0.99", {"gamma": 0.99, "greatest_return": 5.0}),
+    "twice-the-samples": Row("an update every 4 steps", {"steps_per_update": 4.0}),
+    "half-the-samples": Row("an update every 16 steps", {"steps_per_update": 16.0}),
+    "batch-128": Row("batches of 128, an update every 16 steps", {"batch_size": 128, "steps_per_update": 16.0}),
+    "64-robots": Row("64 robots", {"num_envs": 64}),
+}
+"""The base first; then what the robot sees, where it learns, and how."""
+
+
+def run(
+    names: Iterable[str],
+    seeds: Sequence[int],
+    *,
+    runs: Path,
+    results: Path,
+    page: Path,
+    total_steps: int | None = None,
+    console: Console | None = None,
+) -> None:
+    """Trains and evaluates what is not finished yet, and writes the page after each run.
+
+    Args:
+        names: of rows, in the order in which they are run; the first seed of all before the second of any.
+        seeds: of each row's runs.
+        runs: where the runs lie; large, needed only to go on with them.
+        results: where the JSON of each run and the figure go.
+        page: Markdown file with the table.
+        total_steps: transitions of each run in place of the preset's, to try it out.
+        console: where progress is shown; standard output by default.
+
+    Raises:
+        ValueError: for a row that there is not.
+    """
+    console = console or Console()
+    names = list(names)
+    for name in names:
+        if name not in ROWS:
+            raise ValueError(f"there is no row {name}; there are: {', '.join(ROWS)}")
+    chosen = [(name, seed) for seed in seeds for name in names]
+    for number, (name, seed) in enumerate(chosen, 1):
+        finished = results / f"{name}-seed{seed}.json"
+        if finished.exists():
+            console.print(f"[{number}/{len(chosen)}] {name}, seed {seed}: finished before", highlight=False)
+            continue
+        console.print(f"[{number}/{len(chosen)}] {name}, seed {seed}: {ROWS[name].what}", highlight=False)
+        config = ROWS[name].config(name, seed, runs, total_steps)
+        trained = train(config, resume=Run(config.directory).exists, console=console)
+        write_json(finished, {"row": name, **_results_of(trained, console)})
+        write_page(results, page)
+    write_page(results, page)
+
+
+def _results_of(trained: Run, console: Console) -> dict[str, Any]:
+    """A finished run's curves, and what its last weights do in rooms that it has not seen."""
+    config, actor = trained.config, load_policy(trained.directory, weights="last")
+    final = {
+        place: _rates(
+            evaluate(
+                actor,
+                world,
+                camera=config.camera,
+                task=config.task,
+                robot=config.robot,
+                frame_interval=config.frame_interval,
+                num_paths=paths,
+                console=console,
+            )
+        )
+        for place, world, paths in (
+            ("complex_eval", "complex_eval", None),
+            ("unseen rooms", UNSEEN_ROOMS, UNSEEN_PATHS),
+        )
+    }
+    rows = trained.evaluations.rows()
+    return {
+        "seed": config.seed,
+        "steps": config.total_steps,
+        "command": f"navsim train {shlex.join(arguments_of(config))}",
+        "machine": processor(),
+        "versions": versions(),
+        "curve": {
+            key: [float(row[key]) for row in rows]
+            for key in ("step", "seconds", "processor_seconds", "success_rate", "spl")
+        },
+        "final": final,
+    }
+
+
+def _rates(evaluation: Evaluation) -> dict[str, float]:
+    return {
+        "paths": len(evaluation.paths),
+        "success_rate": evaluation.success_rate,
+        "collision_rate": evaluation.collision_rate,
+        "timeout_rate": evaluation.timeout_rate,
+        "spl": evaluation.spl,
+        "reward": evaluation.mean_reward,
+    }
+
+
+def arguments_of(config: TrainConfig) -> list[str]:
+    """What ``navsim train`` is told for these settings, beside its directory.
+
+    >>> arguments_of(TrainConfig(model="S", mirror=False, n_step=3, epsilon_least=None))
+    ['--model', 'S', '--epsilon-least', 'None', '--n-step', '3', '--no-mirror']
+    """
+    told: list[str] = []
+    for setting in dataclasses.fields(config):
+        value, default = getattr(config, setting.name), getattr(PRESETS[config.preset], setting.name)
+        flag = setting.name.replace("_", "-")
+        if value == default or setting.name == "out":
+            continue
+        if dataclasses.is_dataclass(value):
+            raise ValueError(f"the {setting.name} of an ablation is the preset's")
+        if isinstance(value, bool):
+            told.append(f"--{flag}" if value else f"--no-{flag}")
+        elif isinstance(value, tuple):
+            told += [f"--{flag}", *map(str, value)]
+        else:
+            told += [f"--{flag}", str(value)]
+    return told
+
+
+def write_page(results: Path, page: Path) -> None:
+    """Writes the table, as Markdown, and the figure of all runs that are finished."""
+    finished = [json.loads(file.read_text(encoding="utf-8")) for file in sorted(results.glob("*-seed*.json"))]
+    if not finished:
+        return
+    picture = results / "curves.png"
+    save_figure(curves(finished), picture)
+    with atomic_write(page) as file:
+        file.write(_page(finished, Path(picture.name) if page.parent == results else picture.relative_to(page.parent)))
+
+
+def _by_row(finished: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
+    """Runs by their rows, in the order of ``ROWS``, each row's by their seeds."""
+    rows: dict[str, list[dict[str, Any]]] = {name: [] for name in ROWS}
+    for one in sorted(finished, key=lambda one: one["seed"]):
+        rows[one["row"]].append(one)
+    return {name: runs for name, runs in rows.items() if runs}
+
+
+def _page(finished: Sequence[dict[str, Any]], picture: Path) -> str:
+    rows = _by_row(finished)
+    lines = [
+        _INTRODUCTION.format(results=picture.parent),
+        "| | trained with | steps | `complex_eval`, % | each seed | SPL | unseen rooms, % | each seed | SPL |"
+        f" at {EQUAL_MINUTES} min, % | processor min |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for name, runs in rows.items():
+        cells = [name, ROWS[name].what, ", ".join(sorted({f"{one['steps']:,}" for one in runs}))]
+        for place in ("complex_eval", "unseen rooms"):
+            rates = [100 * one["final"][place]["success_rate"] for one in runs]
+            digits = 0 if place == "complex_eval" else 1
+            cells += [
+                f"{statistics.fmean(rates):.1f}",
+                ", ".join(f"{rate:.{digits}f}" for rate in rates),
+                f"{statistics.fmean(one['final'][place]['spl'] for one in runs):.2f}",
+            ]
+        early = [rate for one in runs if (rate := _success_at(one, 60.0 * EQUAL_MINUTES)) is not None]
+        cells.append(f"{100 * statistics.fmean(early):.0f}" if early else "–")
+        cells.append(f"{statistics.fmean(one['curve']['processor_seconds'][-1] for one in runs) / 60:.0f}")
+        lines.append(f"| {' | '.join(cells)} |")
+    lines += ["", f"![success by samples and by minutes of processor time]({picture})", "", "## Commands", ""]
+    lines += [f"- {name}: `{runs[0]['command']}`" for name, runs in rows.items()]
+    machines = sorted({f"{one['machine']}, torch {one['versions']['torch']}" for one in finished})
+    lines += ["", f"One thread each, beside other programs; {'; '.join(machines)}."]
+    return "\n".join(lines) + "\n"
+
+
+def _success_at(one: dict[str, Any], seconds: float) -> float | None:
+    """Success at a run's last evaluation within so much processor time; None before the first."""
+    curve = one["curve"]
+    within = [rate for rate, at in zip(curve["success_rate"], curve["processor_seconds"], strict=True) if at <= seconds]
+    return within[-1] if within else None
+
+
+def curves(finished: Sequence[dict[str, Any]]) -> Figure:
+    """Success in ``complex_eval`` by samples and by processor time: each row's mean, the base in black."""
+    figure = new_figure(11.0, 5.0)
+    by_steps, by_minutes = figure.subplots(1, 2, sharey=True)
+    rows = _by_row(finished)
+    colours = dict(zip(rows, _colours(len(rows)), strict=True))
+    for name, runs in rows.items():
+        length = min(len(one["curve"]["step"]) for one in runs)
+        success = 100 * np.mean([one["curve"]["success_rate"][:length] for one in runs], axis=0)
+        style = {"color": INK, "lw": 2.2, "zorder": 3} if name == "base" else {"color": colours[name], "lw": 1.2}
+        for axes, key, unit in ((by_steps, "step", 1.0), (by_minutes, "processor_seconds", 60.0)):
+            at = np.mean([one["curve"][key][:length] for one in runs], axis=0) / unit
+            axes.plot(at, success, marker="o", ms=2.5, label=f"{name} ({len(runs)})", **style)
+    for axes, label in ((by_steps, "environment steps"), (by_minutes, "minutes of processor time")):
+        axes.set_xlabel(label, fontsize=9, color=QUIET_INK)
+        axes.tick_params(labelsize=8, colors=QUIET_INK)
+        axes.grid(axis="y", color="#e4e7eb", lw=0.7)
+        axes.spines[["top", "right"]].set_visible(False)
+    by_steps.set_ylim(0, 100)
+    by_steps.set_ylabel("goals reached in complex_eval, %", fontsize=9, color=QUIET_INK)
+    by_minutes.legend(
+        fontsize=8, frameon=False, labelcolor=INK, loc="center left", bbox_to_anchor=(1.0, 0.5), title="row (seeds)"
+    )
+    return figure
+
+
+def _colours(count: int) -> list[Any]:
+    return list(matplotlib.colormaps["turbo"](np.linspace(0.05, 0.95, count)))

@@ -1,0 +1,80 @@
+"""The table of ablations: each row is what its command says, and runs are trained once."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+
+import pytest
+from rich.console import Console
+from small_runs import HALL, tiny_config
+
+import rl.ablations
+from rl.ablations import ROWS, Row, arguments_of, run
+from rl.cli import main
+from rl.config import PRESETS
+
+QUIET = Console(file=io.StringIO())
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_each_row_is_trained_by_the_command_that_the_page_gives(name, tmp_path, monkeypatch):
+    trained = []
+    monkeypatch.setattr("rl.train.train", lambda config, **_: trained.append(config))
+    config = ROWS[name].config(name, seed=4, directory=tmp_path)
+    assert main(["train", *arguments_of(config), "--out", str(config.out)]) == 0
+    assert trained == [config]
+
+
+def test_rows_differ_from_the_base_in_what_they_say():
+    base = ROWS["base"].config("base", 0, rl.ablations.Path("runs"))
+    for name, row in ROWS.items():
+        config = row.config(name, 0, rl.ablations.Path("runs"))
+        changed = {field.name for field in dataclasses.fields(config)} - {"out"}
+        changed = {key for key in changed if getattr(config, key) != getattr(base, key)}
+        assert changed == set(row.changes)
+
+
+@pytest.fixture
+def small(monkeypatch, tmp_path):
+    """Rows of seconds, and few unseen paths in one small room."""
+    changes = tiny_config(tmp_path)
+    settings = {
+        field.name: getattr(changes, field.name)
+        for field in dataclasses.fields(changes)
+        if getattr(changes, field.name) != getattr(PRESETS["fast"], field.name) and field.name != "out"
+    }
+    monkeypatch.setattr(rl.ablations, "BASE", {**settings, "report": False})
+    monkeypatch.setattr(rl.ablations, "ROWS", {"base": Row("base", {}), "S": Row("D3QN-S", {"model": "S"})})
+    monkeypatch.setattr(rl.ablations, "UNSEEN_ROOMS", str(HALL))
+    monkeypatch.setattr(rl.ablations, "UNSEEN_PATHS", 1)
+    monkeypatch.setattr(rl.ablations, "arguments_of", lambda config: ["--model", config.model])
+    return {"runs": tmp_path / "runs", "results": tmp_path / "results", "page": tmp_path / "page.md"}
+
+
+def test_finished_runs_are_not_repeated_and_the_page_has_every_seed(small, monkeypatch):
+    run(["base"], [0, 1], **small, console=QUIET)
+    first = {path.name: path.read_bytes() for path in small["results"].glob("*.json")}
+    assert sorted(first) == ["base-seed0.json", "base-seed1.json"]
+    trained = []
+    train = rl.ablations.train
+    monkeypatch.setattr(rl.ablations, "train", lambda config, **kw: trained.append(config) or train(config, **kw))
+    run(["S", "base"], [0], **small, console=QUIET)
+    assert [(config.model, config.seed) for config in trained] == [("S", 0)]
+    assert all((small["results"] / name).read_bytes() == content for name, content in first.items())
+
+    page = small["page"].read_text(encoding="utf-8")
+    rates = [json.loads(first[f"base-seed{seed}.json"])["final"]["complex_eval"]["success_rate"] for seed in (0, 1)]
+    table = [line for line in page.splitlines() if line.startswith("| base")]
+    assert len(table) == 1
+    assert f"| {50 * sum(rates):.1f} | {100 * rates[0]:.0f}, {100 * rates[1]:.0f} |" in table[0]
+    assert page.index("| base") < page.index("| S |")
+    assert "- S: `navsim train --model S`" in page
+    assert (small["results"] / "curves.png").stat().st_size > 10_000
+
+
+def test_a_row_that_there_is_not_is_named_before_anything_is_trained(small):
+    with pytest.raises(ValueError, match="there is no row bse; there are: base, S"):
+        run(["base", "bse"], [0], **small, console=QUIET)
+    assert not small["runs"].exists()
