@@ -100,6 +100,14 @@ ROWS: dict[str, Row] = {
     "gamma-0.99": Row("a discount of 0.99", {"gamma": 0.99, "greatest_return": 5.0}),
     "twice-the-samples": Row("an update every 4 steps", {"steps_per_update": 4.0}),
     "half-the-samples": Row("an update every 16 steps", {"steps_per_update": 16.0}),
+    "twice-the-steps": Row(
+        "400,000 steps, an update every 16",
+        {"total_steps": 400_000, "steps_per_update": 16.0, "epsilon_steps": 50_000, "eval_interval": 50_000},
+    ),
+    "four-times-the-steps": Row(
+        "800,000 steps, an update every 32",
+        {"total_steps": 800_000, "steps_per_update": 32.0, "epsilon_steps": 100_000, "eval_interval": 100_000},
+    ),
     "batch-128": Row("batches of 128, an update every 16 steps", {"batch_size": 128, "steps_per_update": 16.0}),
     "64-robots": Row("64 robots", {"num_envs": 64}),
 }

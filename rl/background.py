@@ -130,7 +130,8 @@ class BackgroundCollector(AsyncCollector):
       learner waited for it. These seconds are counted one by one, so that none pass while the machine sleeps, or while
       Ctrl-Z stops all processes; and a step takes milliseconds.
     - The process ends with its parent, whatever ends that, even when it hangs (``navsim.processes.end_with_parent``).
-    - Ctrl-C, which a terminal sends to every process, is left to the learner to heed.
+    - Ctrl-C and SIGTERM, which a terminal or a machine that shuts down sends to every process, are left to the learner
+      to heed.
 
     Args:
         env: whose worlds, robots and sensors the process's own environment has.
@@ -315,6 +316,7 @@ def _begin(parent: int) -> None:
     """The first thing that the process does."""
     end_with_parent(parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
 
 
 class _WorkerCollector(Collector):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 import shutil
 import signal
@@ -15,6 +16,7 @@ from types import FrameType
 from typing import Any
 
 import torch
+import torchrl
 from rich.console import Console
 from tensordict import TensorDictBase
 from torchrl.checkpoint import Checkpoint, GlobalRNGState
@@ -78,6 +80,8 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
 
 
 def _train(config: TrainConfig, run: Run, resume: bool, console: Console) -> Run:
+    if "RL_LOGGING_LEVEL" not in os.environ:
+        torchrl.logger.setLevel("WARNING")  # it would tell of every buffer that it allocates
     keep_freed_memory()
     torch.set_num_threads(config.learner_threads)
     torch.manual_seed(config.seed)
@@ -256,25 +260,31 @@ def _closing(collector: ResumableCollector | PersistentCollector) -> Iterator[No
 
 @contextmanager
 def _interrupts_between_batches() -> Iterator[list[int]]:
-    """Collects Ctrl-C for the loop to heed when nothing is half done; a second one interrupts at once.
+    """Collects Ctrl-C and SIGTERM for the loop to heed when nothing is half done; a second one ends it at once.
 
-    An exception in the middle may be lost: where C code calls back, it is printed and forgotten.
+    SIGTERM is what a machine that shuts down, or a batch system whose time is up, sends first. An exception in the
+    middle may be lost: where C code calls back, it is printed and forgotten.
     """
     interrupts: list[int] = []
     if threading.current_thread() is not threading.main_thread():  # signals are the main thread's
         yield interrupts
         return
-    before = signal.getsignal(signal.SIGINT)
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def put_back() -> None:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
     def note(number: int, _: FrameType | None) -> None:
         interrupts.append(number)
-        signal.signal(signal.SIGINT, before)
+        put_back()
 
-    signal.signal(signal.SIGINT, note)
+    for number in before:
+        signal.signal(number, note)
     try:
         yield interrupts
     finally:
-        signal.signal(signal.SIGINT, before)
+        put_back()
 
 
 class _Every:

@@ -226,9 +226,10 @@ def test_a_checkpoint_gets_its_name_when_all_of_it_is_on_the_disk(tmp_path, monk
 # Interrupted
 
 
-def test_ctrl_c_saves_a_checkpoint_and_the_run_goes_on_from_it(tmp_path, uninterrupted, monkeypatch):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_saves_a_checkpoint_and_the_run_goes_on_from_it(tmp_path, uninterrupted, monkeypatch, number):
     settings = config(tmp_path / "run")
-    interrupt_at(monkeypatch, update=9)
+    interrupt_at(monkeypatch, update=9, number=number)
     with pytest.raises(KeyboardInterrupt):
         said_by_training(settings)
     monkeypatch.undo()
@@ -238,12 +239,12 @@ def test_ctrl_c_saves_a_checkpoint_and_the_run_goes_on_from_it(tmp_path, uninter
     assert_same(Run(settings.directory), uninterrupted)
 
 
-def interrupt_at(monkeypatch: pytest.MonkeyPatch, update: int) -> None:
+def interrupt_at(monkeypatch: pytest.MonkeyPatch, update: int, number: int = signal.SIGINT) -> None:
     learn = Learner.update
 
     def interrupted(self, sample):
         if self.updates + 1 == update:
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), number)
         return learn(self, sample)
 
     monkeypatch.setattr(Learner, "update", interrupted)
