@@ -12,7 +12,7 @@ from tensordict.nn import TensorDictModuleBase
 
 from navsim.camera import DepthCamera
 from navsim.oracle import Oracle
-from navsim.robot import ACTIONS, INITIAL_COMMAND, NUM_ACTIONS, Robot, apply_actions, wrap_angle
+from navsim.robot import ACTIONS, NUM_ACTIONS, Robot, apply_actions, wrap_angle
 from navsim.scan import obstacle_depth, scan_points
 from navsim.task import Task
 from navsim.world import World
@@ -38,26 +38,20 @@ class RandomPolicy(TensorDictModuleBase):
 
 
 class _Driver(TensorDictModuleBase):
-    """A policy that wants a speed and a turn, and remembers the command in force as ``command`` in the tensordict.
+    """A policy that wants a speed and a turn.
 
     An action changes only one of the two. Braking comes first, then turning, then speeding up.
     """
 
-    in_keys = ("depth", "heading")
-    out_keys = ("action", "command")
+    in_keys = ("depth", "heading", "command")
+    out_keys = ("action",)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes ``action`` ``(N,)`` int64, and ``command`` ``(N, 2)``, m/s and rad/s.
-
-        ``is_init`` ``(N, 1)``, as TorchRL's ``InitTracker`` writes it, begins a robot's memory anew; without the key
-        it begins where ``command`` is missing.
-        """
+        """Writes ``action`` ``(N,)`` int64."""
         headings = tensordict["heading"].reshape(-1).cpu().numpy().astype(np.float64)
-        commands = _remembered(tensordict, "command", np.tile(INITIAL_COMMAND, (len(headings), 1)))
+        commands = _exact(tensordict["command"].reshape(-1, 2).cpu().numpy())
         speed_actions, turn_actions = self._wanted(tensordict, headings, commands)
-        actions = _one_of(commands, speed_actions, turn_actions)
-        _write(tensordict, "command", apply_actions(commands, actions))
-        _write(tensordict, "action", actions)
+        _write(tensordict, "action", _one_of(commands, speed_actions, turn_actions))
         return tensordict
 
     def _wanted(
@@ -67,7 +61,20 @@ class _Driver(TensorDictModuleBase):
         raise NotImplementedError
 
 
+def _exact(commands: np.ndarray) -> np.ndarray:
+    """``(N, 2)`` float64, the commands that float32 ones are: they are compared with those of actions."""
+    axes = []
+    for column, values in zip(commands.T, (_SPEEDS, _TURNS), strict=True):
+        known = values[~np.isnan(values)]
+        axes.append(known[np.abs(known - column[:, None]).argmin(axis=1)])
+    return np.stack(axes, axis=1)
+
+
 def _remembered(tensordict: TensorDictBase, key: str, initial: np.ndarray) -> np.ndarray:
+    """What a policy wrote in the step before; at the beginning of an episode, and without memory, what is initial.
+
+    ``is_init`` ``(N, 1)``, as TorchRL's ``InitTracker`` writes it, tells where an episode begins.
+    """
     value = tensordict.get(key, None)
     if value is None:
         return initial

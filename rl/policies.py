@@ -13,7 +13,7 @@ from rl.baselines import BASELINES, Baseline, make_baseline
 from rl.config import TrainConfig
 from rl.learner import make_actor, shapes_of_weights
 from rl.pretrained import PREFIX, load_pretrained
-from rl.run import Run, RunError
+from rl.run import POLICY_FILES, Run, RunError
 from rl.weights import misfit
 
 
@@ -57,7 +57,7 @@ def load_policy(run: str | os.PathLike[str], *, weights: Literal["best", "last"]
         return load_pretrained(str(run))[0]
     opened = Run.open(Path(run))
     config = opened.config
-    name = {"best": "policy", "last": "policy_last"}[weights]
+    name = POLICY_FILES[weights]
     found = opened.load_policy(name)
     reason = misfit(shapes_of_weights(config), found)
     if reason:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 import json
 from pathlib import Path
+from typing import Literal
 
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
@@ -16,7 +17,7 @@ from torchrl.modules import QValueActor
 
 from rl.config import TrainConfig
 from rl.learner import make_actor, shapes_of_weights
-from rl.run import Run, RunError, atomic_write
+from rl.run import POLICY_FILES, Run, RunError, atomic_write
 from rl.weights import misfit
 
 PREFIX = "pretrained:"
@@ -51,17 +52,18 @@ def load_pretrained(name: str) -> tuple[QValueActor, TrainConfig]:
     return read_policy(_DIRECTORY / f"{name}.safetensors")
 
 
-def pack_policy(run: Run, path: Path) -> None:
-    """Writes a run's best policy as one file, in half precision.
+def pack_policy(run: Run, path: Path, *, weights: Literal["best", "last"] = "best") -> None:
+    """Writes a run's policy as one file, in half precision.
 
     Args:
         run: a run that has been evaluated.
         path: to write; it appears when it is complete.
+        weights: those that did best in the run's evaluations, or the last.
 
     Raises:
         RunError: for a run that lacks its weights, or whose packed weights exceed ``LARGEST_FILE``.
     """
-    halved = {name: weight.half().contiguous() for name, weight in run.load_policy("policy").items()}
+    halved = {name: weight.half().contiguous() for name, weight in run.load_policy(POLICY_FILES[weights]).items()}
     size = sum(weight.numel() * weight.element_size() for weight in halved.values())
     if size > LARGEST_FILE:
         raise RunError(f"{run.directory}: the packed policy has {size / 2**20:.1f} MiB, more than the 4 MiB allowed")

@@ -56,6 +56,8 @@ EVALUATIONS = [
     *("success_rate", "collision_rate", "timeout_rate", "spl", "reward", "steps"),
 ]
 """Columns of evaluations.csv."""
+POLICY_FILES = {"best": "policy", "last": "policy_last"}
+"""Names of the files of weights, without their suffix: those that did best in evaluations, and the last."""
 _LIBRARIES = ("torch", "torchrl", "tensordict", "pymunk", "numpy", "pydantic", "scipy")
 
 

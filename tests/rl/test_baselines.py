@@ -12,7 +12,7 @@ from tensordict import TensorDict
 
 from navsim.camera import DepthCamera
 from navsim.raycast import render_depth
-from navsim.robot import MIRRORED_ACTIONS
+from navsim.robot import INITIAL_COMMAND, MIRRORED_ACTIONS, apply_actions
 from navsim.task import Task
 from navsim.world import World
 from rl.baselines import BASELINES, make_baseline
@@ -20,6 +20,7 @@ from rl.env import NavEnv
 from rl.evaluation import evaluate
 
 CAMERA = DepthCamera()
+LEFT, RIGHT = 2, 6
 OPEN = World.from_dict(
     {
         "format": 1,
@@ -42,12 +43,13 @@ BLOCKED = World.from_dict(
 )
 
 
-def observe(world: World, poses, headings, camera: DepthCamera = CAMERA, **memory) -> TensorDict:
+def observe(world: World, poses, headings, camera: DepthCamera = CAMERA, **others) -> TensorDict:
     poses = np.asarray(poses, dtype=float).reshape(-1, 3)
     images = camera.to_uint8(camera.from_planar(render_depth(world, poses, camera)))
     depth = torch.from_numpy(images).unsqueeze(1).repeat(1, 4, 1, 1)
     heading = torch.tensor(headings, dtype=torch.float32).reshape(-1, 1)
-    return TensorDict({"depth": depth, "heading": heading, **memory}, batch_size=[len(poses)])
+    command = torch.tensor([INITIAL_COMMAND] * len(poses))
+    return TensorDict({"depth": depth, "heading": heading, "command": command, **others}, batch_size=[len(poses)])
 
 
 def test_every_name_makes_a_baseline_of_that_name():
@@ -81,9 +83,7 @@ def test_random_takes_all_actions_evenly():
     ],
 )
 def test_straight_turns_to_the_goal_and_brakes_before_sharp_turns(command, heading, action):
-    state = TensorDict(
-        {"heading": torch.tensor([[heading]]), "command": torch.tensor([command], dtype=torch.float64)}, batch_size=[1]
-    )
+    state = TensorDict({"heading": torch.tensor([[heading]]), "command": torch.tensor([command])}, batch_size=[1])
     assert make_baseline("straight")(state)["action"].tolist() == [action]
 
 
@@ -103,7 +103,7 @@ def test_reactive_goes_round_what_straight_runs_into():
 def test_reactive_drives_under_a_table_top_but_not_over_a_plank():
     def ahead_of(**box) -> int:
         room = World.from_dict({"format": 1, "size": [9, 9], "obstacles": [{"box": {"at": [0.5, 0.02], **box}}]})
-        moving = torch.tensor([[0.4, 0.0]], dtype=torch.float64)
+        moving = torch.tensor([[0.4, 0.0]])
         state = observe(room, [0, 0, 0], [0.0], command=moving)
         return int(make_baseline("reactive", CAMERA)(state)["action"])
 
@@ -141,17 +141,26 @@ def test_reactive_takes_images_of_any_size_unless_it_is_told_the_camera():
         make_baseline("reactive", CAMERA)(state)
 
 
-@pytest.mark.parametrize("name", ["straight", "reactive"])
-def test_memory_begins_anew_where_an_episode_does(name):
-    policy = make_baseline(name)
-    fresh = policy(observe(OPEN, [[0, 0, 0]] * 2, [0.0, 0.0]))
-    assert fresh["command"].tolist() == [[0.4, 0.0]] * 2
-    stale = observe(OPEN, [[0, 0, 0]] * 2, [0.0, 0.0], is_init=torch.tensor([[True], [False]]))
-    stale["command"] = torch.tensor([[0.2, math.pi / 4]] * 2, dtype=torch.float64)
-    if name == "reactive":
-        stale["direction"] = torch.zeros(2, dtype=torch.float64)
-    again = policy(stale)
-    assert again["command"].tolist() == [[0.4, 0.0], [0.2, 0.0]]
+def test_memory_begins_anew_where_an_episode_does():
+    """Before an obstacle whose way round is shorter on the right, a robot that has begun to go left goes on so."""
+    state = observe(BLOCKED, [[-0.8, 0, 0]] * 2, [0.0, 0.0], is_init=torch.tensor([[True], [False]]))
+    state["direction"] = torch.full((2,), 0.6, dtype=torch.float64)
+    assert make_baseline("reactive", CAMERA)(state)["action"].tolist() == [RIGHT, LEFT]
+
+
+def test_reactive_reaches_most_goals_of_the_cluttered_room():
+    assert evaluate(make_baseline("reactive"), "complex_eval", num_paths=30).success_rate > 0.75
+
+
+def test_what_a_robot_is_told_stays_in_its_data():
+    """``command`` is the environment's: the one in force before the action, as for any other policy."""
+    env = NavEnv(OPEN, num_envs=2, seed=0)
+    rollout = env.rollout(6, make_baseline("straight"), break_when_any_done=False)
+    np.testing.assert_allclose(rollout["command"][:, 0], [(0.2, 0.0)] * 2)
+    told = rollout["command"][:, 0].double().numpy()
+    for step in range(6):
+        np.testing.assert_allclose(rollout["command"][:, step], told, rtol=1e-6)
+        told = apply_actions(told, rollout["action"][:, step].numpy())
 
 
 @pytest.mark.parametrize("name", ["random", "straight", "reactive"])

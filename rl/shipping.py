@@ -1,0 +1,101 @@
+"""Makes the policies that come with the library: the packed file, and a model card with what that file does."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Literal
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from rich.console import Console
+
+from navsim.sensor import SensorModel
+from rl.ablations import UNSEEN_PATHS, UNSEEN_ROOMS, arguments_of
+from rl.baselines import make_baseline
+from rl.config import TrainConfig
+from rl.evaluation import Evaluation, Policy, evaluate
+from rl.pretrained import pack_policy, read_policy
+from rl.run import Run, atomic_write
+
+PLACES: tuple[tuple[str, str, int | None], ...] = (
+    ("`complex_eval`", "complex_eval", None),
+    ("`simple_eval`", "simple_eval", None),
+    (f"200 generated rooms, `{UNSEEN_ROOMS}`", UNSEEN_ROOMS, UNSEEN_PATHS),
+)
+"""Where a policy is measured: what the card calls it, the world, and how many of its paths; None: all."""
+
+_SEES = {"depth": "four depth images", "heading": "the goal's direction", "command": "its own command (v, ω)"}
+
+
+def ship(
+    run: Run,
+    directory: Path,
+    name: str,
+    *,
+    weights: Literal["best", "last"] = "last",
+    console: Console | None = None,
+) -> Path:
+    """Packs a run's policy as ``NAME.safetensors`` and writes its card, ``NAME.md``, from what the packed file does.
+
+    Args:
+        run: the run.
+        directory: where both files go.
+        name: of the policy.
+        weights: the last ones of the run, which nothing was chosen by, or those that did best in its evaluations.
+        console: where progress is shown; nowhere by default.
+
+    Returns:
+        the card.
+
+    Raises:
+        RunError: for a run that lacks its weights, or is too large to ship.
+    """
+    packed = directory / f"{name}.safetensors"
+    pack_policy(run, packed, weights=weights)
+    policy, config = read_policy(packed)
+    results = [
+        (place, _drive(policy, config, world, paths, console), _drive_reactive(config, world, paths, console))
+        for place, world, paths in PLACES
+    ]
+    card = directory / f"{name}.md"
+    with atomic_write(card) as file:
+        file.write(_card(run, name, config, weights, results))
+    return card
+
+
+def _drive(policy: Policy, config: TrainConfig, world: str, paths: int | None, console: Console | None) -> Evaluation:
+    return evaluate(
+        policy,
+        world,
+        camera=config.camera,
+        task=config.task,
+        robot=config.robot,
+        frame_interval=config.frame_interval,
+        num_paths=paths,
+        console=console,
+    )
+
+
+def _drive_reactive(config: TrainConfig, world: str, paths: int | None, console: Console | None) -> Evaluation:
+    return _drive(make_baseline("reactive", config.camera), config, world, paths, console)
+
+
+def _card(
+    run: Run, name: str, config: TrainConfig, weights: str, results: list[tuple[str, Evaluation, Evaluation]]
+) -> str:
+    last = run.evaluations.rows()[-1]
+    environment = Environment(
+        loader=PackageLoader("rl", "."), undefined=StrictUndefined, keep_trailing_newline=True, autoescape=False
+    )
+    return environment.get_template("card.md.jinja").render(
+        name=name,
+        config=config,
+        sees=" and ".join(_SEES[one] for one in config.inputs),
+        command=f"navsim train {shlex.join(arguments_of(config))}",
+        steps=int(last["step"]),
+        robot_hours=int(last["step"]) * config.task.control_period / 3600.0,
+        minutes=float(last["seconds"]) / 60.0,
+        chosen="the last of the run" if weights == "last" else "those that did best in `complex_eval` during the run",
+        sensor="an ideal depth sensor" if config.sensor == SensorModel() else "a noisy depth sensor",
+        results=results,
+    )

@@ -1,0 +1,36 @@
+"""Makes a policy that comes with the library: python scripts/ship.py --help"""
+
+import sys
+from pathlib import Path
+from typing import Literal
+
+import tyro
+from rich.console import Console
+
+from rl.run import Run, RunError
+from rl.shipping import ship
+
+
+def main(
+    run: Path,
+    name: str,
+    /,
+    weights: Literal["best", "last"] = "last",
+    directory: Path = Path("rl/pretrained_policies"),
+) -> None:
+    """Pack a run's policy, measure what the packed file does, and write its model card.
+
+    Args:
+        run: Directory of the run.
+        name: What follows "pretrained:".
+        weights: The run's last, which nothing was chosen by, or those that did best in its evaluations.
+        directory: Where the file and its card go.
+    """
+    try:
+        print(ship(Run.open(run), directory, name, weights=weights, console=Console()))
+    except RunError as error:
+        sys.exit(str(error))
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
