@@ -199,8 +199,8 @@ def drive(
         policy: Directory of a run, pretrained:NAME, or one of the baselines random, straight, reactive, oracle.
         world: World file, or name of a shipped world.
         output: Film to write: .mp4 or .gif.
-        start: Which of the world's starts, counted from 1.
-        goal: Which of the world's goals, counted from 1.
+        start: Which of the world's starts, counted from 0 as in pictures and reports.
+        goal: Which of the world's goals, counted from 0 as in pictures and reports.
         seed: Seed of whatever the world leaves open: yaws of starts, starts, goals.
         speed: How many times faster than real time the film plays.
     """

@@ -37,8 +37,8 @@ def drive(
         policy: what ``rl.policies.find_policy`` takes: a run's directory, ``pretrained:NAME``, or a baseline.
         world: a world file, or the name of a shipped world.
         output: film to write, ``.mp4`` or ``.gif``.
-        start: which of the world's starts, counted from 1 as in the file; by default the first.
-        goal: which of the world's goals, counted from 1; by default the one that is farthest from the start.
+        start: which of the world's starts, counted from 0 as in pictures, reports and messages; by default the first.
+        goal: which of the world's goals, counted from 0; by default the one that is farthest from the start.
         seed: of what the world leaves open: yaws, random starts and goals.
         speed: how many times faster than real time the film plays.
         console: where progress is shown; nowhere by default.
@@ -100,9 +100,9 @@ def _chosen(
         return places
     if isinstance(places, str):
         raise ValueError(f'world "{world}" draws its {kind}s at random; leave --{kind} out, and vary --seed instead')
-    if not 1 <= number <= len(places):
-        raise ValueError(f'world "{world}" has {kind}s 1 to {len(places)}; --{kind} asks for {number}')
-    return (places[number - 1],)
+    if not 0 <= number < len(places):
+        raise ValueError(f'world "{world}" has {kind}s 0 to {len(places) - 1}; --{kind} asks for {number}')
+    return (places[number],)
 
 
 class _Watched:

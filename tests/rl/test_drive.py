@@ -48,8 +48,8 @@ def test_the_q_values_shown_are_those_that_were_acted_on(run, filmed, tmp_path):
 def test_the_path_is_the_one_that_was_asked_for(filmed, tmp_path):
     world = load_world("simple_eval")
     result = drive("straight", "simple_eval", tmp_path / "a.gif", start=2, goal=3)
-    np.testing.assert_allclose(result.trajectory[0, :2], world.starts[1].at)
-    assert result.goal == world.goals[2].at
+    np.testing.assert_allclose(result.trajectory[0, :2], world.starts[2].at)
+    assert result.goal == world.goals[3].at
     assert filmed["q_values"] is None
 
 
@@ -72,7 +72,7 @@ def test_a_drive_makes_a_film(run, tmp_path, capsys):
     ("arguments", "message"),
     [
         (["oracle", "--world", "simple_eval", "-o", "a.avi"], r"a.avi: animations are written as .gif or .mp4"),
-        (["oracle", "--world", "simple_eval", "--start", "9"], 'world "simple_eval" has starts 1 to 5; --start asks'),
+        (["oracle", "--world", "simple_eval", "--start", "9"], 'world "simple_eval" has starts 0 to 4; --start asks'),
         (["pretrained:nonsense", "--world", "simple_eval"], 'no policy "pretrained:nonsense"'),
         (["oracel", "--world", "simple_eval"], 'did you mean "oracle"?'),
     ],

@@ -1,0 +1,113 @@
+"""Failures explained: rooms in which it is known what a robot runs into, and whether it has seen it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from rich.console import Console
+from tensordict import TensorDict
+
+from navsim.camera import DepthCamera
+from navsim.task import Task
+from navsim.world import World
+from navsim.worldfile import save_world
+from rl.evaluation import PathResult, evaluate
+from rl.failures import KINDS, _in_view, explain, write_failures
+
+CAMERA = DepthCamera()
+LEFT, STRAIGHT = 2, 4
+
+
+def room(*boxes: dict) -> World:
+    return World.from_dict(
+        {
+            "format": 1,
+            "size": [7, 7],
+            "obstacles": [{"box": box} for box in boxes],
+            "starts": [{"at": [-2.0, 0.0], "yaw_deg": 0}],
+            "goals": [[2.5, 2.5]],
+        }
+    )
+
+
+def driven(world: World, actions: list[int], task: Task | None = None) -> PathResult:
+    """What becomes of a robot that takes these actions, and then goes on."""
+
+    def policy(state: TensorDict) -> TensorDict:
+        step = len(taken)
+        taken.append(actions[min(step, len(actions) - 1)])
+        state["action"] = np.full(len(state), taken[-1])
+        return state
+
+    taken: list[int] = []
+    return evaluate(policy, world, camera=CAMERA, task=task).paths[0]
+
+
+def test_what_was_ahead_all_the_time_was_seen():
+    world = room({"at": [0.5, 0.0], "size": [0.3, 1.0], "height": 1.0})
+    failure = explain(driven(world, [STRAIGHT]), world, CAMERA)
+    assert failure.kind == "ahead"
+    assert failure.seen == 4
+    assert failure.at[0] == pytest.approx(0.35, abs=0.02)  # the box's near face
+    assert abs(failure.at[1]) < 0.4
+
+
+def test_what_a_robot_turns_into_was_unseen():
+    """It drives past a pillar on its left and turns left: the pillar enters the image at its edge, too near."""
+    world = room({"at": [-0.45, 0.45], "size": [0.2, 0.2], "height": 1.0})
+    turning_at = (driven(world, [STRAIGHT] * step + [LEFT]) for step in range(25, 40))
+    failures = [explain(path, world, CAMERA) for path in turning_at if path.too_near]
+    failure = next(failure for failure in failures if failure.kind == "unseen")
+    assert failure.seen == 0
+    np.testing.assert_allclose(failure.at, (-0.45, 0.45), atol=0.25)
+
+
+def test_a_touch_beside_the_camera_s_view_and_a_timeout_are_their_own_kinds():
+    grazing = room({"at": [-1.0, 0.22], "size": [0.3, 0.2], "height": 1.0})
+    touched = driven(grazing, [STRAIGHT], Task(collision_depth=0.0))
+    assert explain(touched, grazing, CAMERA).kind == "touched"
+    slow = driven(room(), [STRAIGHT], Task(max_steps=3))
+    assert explain(slow, room(), CAMERA) == (slow, "timeout", None, 0)
+
+
+def test_images_further_apart_reach_further_back():
+    """What has left the view more than four steps ago is in the images of a stack that reaches twelve steps back."""
+    world = room({"at": [-0.45, 0.45], "size": [0.2, 0.2], "height": 1.0})
+    paths = [driven(world, [STRAIGHT] * begin + [LEFT]) for begin in range(20, 45)]
+    paths = [path for path in paths if path.too_near]
+    seen = [[explain(path, world, CAMERA, interval).seen for path in paths] for interval in (1, 4)]
+    assert any(later > soon == 0 for soon, later in zip(*seen, strict=True))
+
+
+def test_the_page_counts_every_failure_and_explains_its_kind(tmp_path):
+    world = room({"at": [0.0, 0.0], "size": [0.3, 3.0], "height": 1.0})
+    save_world(world, tmp_path / "wall.yaml")
+    page, picture = tmp_path / "docs" / "failures.md", tmp_path / "docs" / "images" / "failures.png"
+    page.parent.mkdir()
+    write_failures("straight", str(tmp_path / "wall.yaml"), page, picture, console=Console(quiet=True))
+    text = page.read_text(encoding="utf-8")
+    assert "0 of 1 goals reached" in text
+    (row,) = [line for line in text.splitlines() if line.startswith("| ") and "paths" not in line]
+    kind = row.split("|")[1].strip()
+    assert row == f"| {kind} | 1 | {KINDS[kind]} |"
+    assert "![the ends of the failed paths](images/failures.png)" in text
+    assert picture.stat().st_size > 3_000
+
+
+def test_a_policy_without_failures_has_a_page_without_a_picture(tmp_path):
+    save_world(room(), tmp_path / "open.yaml")
+    write_failures("straight", str(tmp_path / "open.yaml"), tmp_path / "page.md", tmp_path / "page.png")
+    assert "1 of 1 goals reached" in (tmp_path / "page.md").read_text(encoding="utf-8")
+    assert not (tmp_path / "page.png").exists()
+
+
+def test_the_view_is_sixty_degrees_wide():
+    """A thing at the same distance, just inside the edge of the view and just outside of it."""
+    for angle, expected in ((27.0, 4), (40.0, 0)):
+        bearing = math.radians(angle)
+        at = [-2.0 + 1.2 * math.cos(bearing), 1.2 * math.sin(bearing)]
+        world = room({"at": at, "size": [0.1, 0.1], "height": 1.0})
+        seen = _in_view(np.array(at) - 0.05, np.array([[-2.0, 0.0, 0.0]] * 4), world, CAMERA)
+        assert int(seen.sum()) == expected
