@@ -32,6 +32,9 @@ DENSITY = 0.11
 UNSEEN_ROOMS = f"generate:clutter,density={DENSITY},count=200"
 """Rooms that no run trains in, whose seeds lie elsewhere (``navsim.worldsource.TRAINING_SEED``)."""
 UNSEEN_PATHS = 1000
+COMPLEX, UNSEEN = "complex_eval", "unseen rooms"
+PLACES: dict[str, tuple[str, int | None]] = {COMPLEX: ("complex_eval", None), UNSEEN: (UNSEEN_ROOMS, UNSEEN_PATHS)}
+"""Where final weights are measured: the world, and how many of its paths; None: all."""
 EQUAL_MINUTES = 20
 """Of processor time, at which runs that cost more or less a step are compared, too."""
 
@@ -161,7 +164,7 @@ def _results_of(trained: Run, console: Console) -> dict[str, Any]:
     """A finished run's curves, and what its last weights do in rooms that it has not seen."""
     config, actor = trained.config, load_policy(trained.directory, weights="last")
     final = {
-        place: _rates(
+        place: rates_of(
             evaluate(
                 actor,
                 world,
@@ -173,10 +176,7 @@ def _results_of(trained: Run, console: Console) -> dict[str, Any]:
                 console=console,
             )
         )
-        for place, world, paths in (
-            ("complex_eval", "complex_eval", None),
-            ("unseen rooms", UNSEEN_ROOMS, UNSEEN_PATHS),
-        )
+        for place, (world, paths) in PLACES.items()
     }
     rows = trained.evaluations.rows()
     return {
@@ -193,7 +193,7 @@ def _results_of(trained: Run, console: Console) -> dict[str, Any]:
     }
 
 
-def _rates(evaluation: Evaluation) -> dict[str, float]:
+def rates_of(evaluation: Evaluation) -> dict[str, float]:
     return {
         "paths": len(evaluation.paths),
         "success_rate": evaluation.success_rate,
@@ -256,9 +256,9 @@ def _page(finished: Sequence[dict[str, Any]], picture: Path) -> str:
     ]
     for name, runs in rows.items():
         cells = [name, ROWS[name].what, ", ".join(sorted({f"{one['steps']:,}" for one in runs}))]
-        for place in ("complex_eval", "unseen rooms"):
+        for place in (COMPLEX, UNSEEN):
             rates = [100 * one["final"][place]["success_rate"] for one in runs]
-            digits = 0 if place == "complex_eval" else 1
+            digits = 0 if place == COMPLEX else 1
             cells += [
                 f"{statistics.fmean(rates):.1f}",
                 ", ".join(f"{rate:.{digits}f}" for rate in rates),

@@ -39,7 +39,7 @@ def test_rows_differ_from_the_base_in_what_they_say():
 @pytest.fixture
 def small(monkeypatch, tmp_path):
     """Rows of seconds, and few unseen paths in one small room."""
-    changes = tiny_config(tmp_path)
+    changes = tiny_config(tmp_path, total_steps=256, eval_interval=256, checkpoint_interval=256)
     settings = {
         field.name: getattr(changes, field.name)
         for field in dataclasses.fields(changes)
@@ -47,8 +47,8 @@ def small(monkeypatch, tmp_path):
     }
     monkeypatch.setattr(rl.ablations, "BASE", {**settings, "report": False})
     monkeypatch.setattr(rl.ablations, "ROWS", {"base": Row("base", {}), "S": Row("D3QN-S", {"model": "S"})})
-    monkeypatch.setattr(rl.ablations, "UNSEEN_ROOMS", str(HALL))
-    monkeypatch.setattr(rl.ablations, "UNSEEN_PATHS", 1)
+    places = {rl.ablations.COMPLEX: (str(HALL), None), rl.ablations.UNSEEN: (str(HALL), 1)}
+    monkeypatch.setattr(rl.ablations, "PLACES", places)
     monkeypatch.setattr(rl.ablations, "arguments_of", lambda config: ["--model", config.model])
     return {"runs": tmp_path / "runs", "results": tmp_path / "results", "page": tmp_path / "page.md"}
 

@@ -1,0 +1,193 @@
+"""The page of results: what was asked for, what the thesis reached, and what was measured, each seed of it.
+
+It is made of the JSON that ``scripts/ablations.py`` and ``scripts/reproduce.py`` leave, and of the baselines' drives.
+"""
+
+from __future__ import annotations
+
+import json
+import statistics
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rich.console import Console
+
+from rl.ablations import COMPLEX, PLACES, ROWS, UNSEEN, UNSEEN_PATHS, rates_of
+from rl.baselines import BASELINES, make_baseline
+from rl.evaluation import evaluate
+from rl.run import atomic_write, write_json
+
+VARIANT = "command-apart"
+"""The row of the best named variant."""
+ENOUGH = 0.85
+"""Success whose time is told."""
+
+
+class Aim(NamedTuple):
+    """One line of what was asked for."""
+
+    what: str
+    row: str
+    place: str
+    thesis: str
+    least: int
+    """Percent that must be reached, in the mean over the seeds."""
+    aim: int
+
+
+AIMS = (
+    Aim("D3QN-I, depth and heading only", "base", COMPLEX, "88", 90, 97),
+    Aim("D3QN-S, depth and heading only", "S", COMPLEX, "67", 85, 97),
+    Aim("best variant", VARIANT, COMPLEX, "–", 93, 98),
+    Aim("D3QN-I, depth and heading only", "base", UNSEEN, "–", 85, 95),
+    Aim("best variant", VARIANT, UNSEEN, "–", 90, 97),
+)
+_INPUTS = (("blind", "D3QN-I, heading only"), ("depth-only", "D3QN-I, depth only"))
+_NAMES = {COMPLEX: "`complex_eval`, 100 paths", UNSEEN: f"200 unseen rooms, {UNSEEN_PATHS:,} paths"}
+
+
+def drive_baselines(path: Path, console: Console | None = None) -> dict[str, Any]:
+    """What the baselines reach in the same rooms; from the file, if it is there, as they do not change.
+
+    Args:
+        path: JSON file.
+        console: where progress is shown; nowhere by default.
+    """
+    if path.exists():
+        return json.loads(path.read_text(encoding="utf-8"))
+    found = {
+        name: {
+            place: rates_of(evaluate(make_baseline(name), world, num_paths=paths, console=console))
+            for place, (world, paths) in PLACES.items()
+        }
+        for name in BASELINES
+    }
+    write_json(path, found)
+    return found
+
+
+def write_results(results: Path, page: Path, console: Console | None = None) -> None:
+    """Writes the page.
+
+    Args:
+        results: directory with ``ablations/``, ``reproduce/`` and ``baselines.json``; what is missing is said so.
+        page: Markdown file.
+        console: where progress is shown; nowhere by default.
+    """
+    runs = [json.loads(file.read_text(encoding="utf-8")) for file in sorted((results / "ablations").glob("*.json"))]
+    tables = results / "reproduce" / "tables.md"
+    with atomic_write(page) as file:
+        file.write(
+            results_page(
+                runs,
+                drive_baselines(results / "baselines.json", console),
+                tables.read_text(encoding="utf-8") if tables.exists() else "Not run yet.\n",
+            )
+        )
+
+
+def results_page(runs: Sequence[dict[str, Any]], baselines: dict[str, Any], thesis_tables: str) -> str:
+    """The page as Markdown.
+
+    Args:
+        runs: of the ablations, as their files hold them.
+        baselines: as :func:`drive_baselines` returns them.
+        thesis_tables: the tables of ``rl.reproduce``.
+    """
+    by_row = {name: sorted((run for run in runs if run["row"] == name), key=_seed) for name in ROWS}
+    lines = [
+        "# Results",
+        "",
+        "Of each seed the last weights, which nothing was chosen by, greedy. A mean is worth something from three",
+        "seeds on, and was asked for with five. Made by `scripts/results.py` of what `scripts/ablations.py` trained;",
+        "[ablations.md](ablations.md) has the commands.",
+        "",
+        "## Beyond the thesis",
+        "",
+        "| | | thesis, % | must, % | aim, % | **mean, %** | each seed | least under mean | SPL / success |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for aim in AIMS:
+        lines.append(
+            f"| {aim.what} | {_NAMES[aim.place]} | {aim.thesis} | {aim.least} | {aim.aim} "
+            f"| {' | '.join(_measured(by_row[aim.row], aim.place))} |"
+        )
+    lines += [
+        "",
+        f"The best variant is `{VARIANT}`: {ROWS[VARIANT].what} ({', '.join(map(str, ROWS[VARIANT].changes))}).",
+        "",
+        f"**Time to {ENOUGH:.0%}** in `complex_eval`: minutes of processor time at the first evaluation that reaches",
+        "it, each seed (asked for: 20 minutes on two cores, aim 10): "
+        + "; ".join(f"{name} {_times(by_row[row])}" for name, row in (("D3QN-I", "base"), ("variant", VARIANT)))
+        + ".",
+        "",
+        "## Beside the baselines, and what each input is worth",
+        "",
+        f"| | {_NAMES[COMPLEX]}, % | SPL | {_NAMES[UNSEEN]}, % | SPL |",
+        "|---|---|---|---|---|",
+    ]
+    for name, found in baselines.items():
+        cells = [f"{100 * found[place]['success_rate']:.1f} | {found[place]['spl']:.2f}" for place in (COMPLEX, UNSEEN)]
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    named = {(aim.row, aim.what): None for aim in AIMS}
+    for row, what in [*((row, name) for row, name in _INPUTS), *named]:
+        cells = [_mean_and_spl(by_row[row], place) for place in (COMPLEX, UNSEEN)]
+        lines.append(f"| {what} | {' | '.join(cells)} |")
+    lines += [
+        "",
+        "## The thesis's experiment",
+        "",
+        "Preset `thesis`: 400,000 steps, batches of 8, squared error, one room.",
+        "",
+        thesis_tables.rstrip(),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _seed(run: dict[str, Any]) -> int:
+    return run["seed"]
+
+
+def _rates(runs: Sequence[dict[str, Any]], place: str, key: str = "success_rate") -> list[float]:
+    return [run["final"][place][key] for run in runs]
+
+
+def _measured(runs: Sequence[dict[str, Any]], place: str) -> list[str]:
+    """Mean, each seed, how far the least is under the mean, and SPL as a share of success."""
+    if not runs:
+        return ["not run yet", "", "", ""]
+    rates = [100 * rate for rate in _rates(runs, place)]
+    mean = statistics.fmean(rates)
+    spl = 100 * statistics.fmean(_rates(runs, place, "spl"))
+    return [
+        f"**{mean:.1f}**",
+        ", ".join(f"{rate:.1f}" if place == UNSEEN else f"{rate:.0f}" for rate in rates),
+        f"{mean - min(rates):.1f}",
+        f"{spl / mean:.2f}" if mean else "–",
+    ]
+
+
+def _mean_and_spl(runs: Sequence[dict[str, Any]], place: str) -> str:
+    if not runs:
+        return "not run yet | "
+    return (
+        f"{100 * statistics.fmean(_rates(runs, place)):.1f} ({len(runs)} seed{'s' * (len(runs) > 1)}) | "
+        f"{statistics.fmean(_rates(runs, place, 'spl')):.2f}"
+    )
+
+
+def _times(runs: Sequence[dict[str, Any]]) -> str:
+    """Minutes of processor time until each run's success was enough."""
+    if not runs:
+        return "not run yet"
+    told = []
+    for run in runs:
+        curve = run["curve"]
+        reached = [
+            seconds
+            for seconds, rate in zip(curve["processor_seconds"], curve["success_rate"], strict=True)
+            if rate >= ENOUGH
+        ]
+        told.append(f"{reached[0] / 60:.0f}" if reached else "never")
+    return ", ".join(told)

@@ -1,0 +1,54 @@
+"""Policies are shipped with a card that tells what the packed file does."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+import torch
+from small_runs import HALL, tiny_config
+
+import rl.shipping
+from rl.evaluation import evaluate
+from rl.learner import make_actor
+from rl.pretrained import read_policy
+from rl.run import Run
+from rl.shipping import ship
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    monkeypatch.setattr(rl.shipping, "PLACES", (("the hall", str(HALL), None),))
+    monkeypatch.setattr(rl.shipping, "arguments_of", lambda config: ["--model", config.model])
+    run = Run.create(tiny_config(tmp_path / "run", model="S", inputs=("depth", "heading", "command"), frame_interval=3))
+    torch.manual_seed(0)
+    for name in ("policy", "policy_last"):
+        run.save_policy(name, make_actor(run.config).state_dict())
+    row = {"step": 18_000, "seconds": 120.0, "processor_seconds": 200.0, "world": "hall"}
+    run.evaluations.append(row | dict.fromkeys(("success_rate", "collision_rate", "timeout_rate", "spl"), 0.5))
+    return run
+
+
+@pytest.mark.parametrize("weights", ["best", "last"])
+def test_the_card_tells_what_the_packed_file_does(run, tmp_path, weights):
+    card = ship(run, tmp_path / "shipped", "S", weights=weights).read_text(encoding="utf-8")
+    policy, config = read_policy(tmp_path / "shipped" / "S.safetensors")
+    packed = {name.split("module.")[-1]: value for name, value in policy.state_dict().items()}
+    source = {"best": "policy", "last": "policy_last"}[weights]
+    for name, value in run.load_policy(source).items():
+        torch.testing.assert_close(packed[name.split("module.")[-1]], value.half().float())
+
+    driven = evaluate(policy, str(HALL), camera=config.camera, frame_interval=3)
+    (row,) = [line.split("|") for line in card.splitlines() if line.startswith("| the hall")]
+    assert int(row[2]) == len(driven.paths)
+    assert float(re.match(r" ([\d.]+) \(", row[3])[1]) == pytest.approx(100 * driven.success_rate, abs=0.06)
+    assert float(row[4]) == pytest.approx(100 * driven.collision_rate, abs=0.06)
+    assert float(row[6]) == pytest.approx(driven.spl, abs=0.006)
+
+    assert "its own command" in card
+    assert "it is 0.6 s" in card
+    assert "navsim train --model S" in card
+    assert "18,000 steps (1 h of robot time) in 2 min" in card
+    assert ("the last of the run" in card) == (weights == "last")
+    for part in ("Trained", "Results", "Limits"):
+        assert f"## {part}" in card
