@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
+import multiprocessing
 import os
 import subprocess
 import sys
@@ -29,6 +30,7 @@ from navsim.generate import (
 )
 from navsim.generate.placing import Rectangle, rectangle_distance
 from navsim.oracle import Oracle
+from navsim.processes import WorkerDeathError
 from navsim.raycast import Scene, nearest_depth
 from navsim.robot import TURTLEBOT2
 from navsim.simulator import Simulator
@@ -381,3 +383,16 @@ def test_rooms_made_in_processes_of_their_own_are_the_same(tmp_path, monkeypatch
     together = list(write_rooms(settings, tmp_path / "together", 3))
     assert [file.read_bytes() for _, file in together] == alone
     assert [world.name for world, _ in together] == [settings.name(index) for index in range(3)]
+
+
+def test_a_killed_process_of_those_that_make_rooms_is_told(tmp_path):
+    """In a sentence that says what to do, and not by waiting for it forever; no process is left."""
+    before = set(multiprocessing.active_children())
+    rooms = write_rooms(RoomSettings("clutter", (7.0, 7.0), 0.11, 5), tmp_path, count=4000)
+    next(rooms)
+    makers = set(multiprocessing.active_children()) - before
+    assert makers
+    makers.pop().kill()
+    with pytest.raises(WorkerDeathError, match=rf"that make rooms was killed.*remove the rooms in {tmp_path}"):
+        list(rooms)
+    assert set(multiprocessing.active_children()) <= before
