@@ -48,9 +48,9 @@ class Experiment:
     the speeds (v, ω) that the robot was last told."""
     frame_interval: int = 1
     """Steps from one depth image of the stack to the next: 3 makes the four images reach back 1.8 s, not 0.6 s."""
-    world: tuple[str, ...] = ("complex_train",)
-    """World files to train in, names of shipped worlds, or generated rooms such as
-    "generate:clutter,density=0.11,count=200"; with several worlds, each episode draws one."""
+    world: tuple[str, ...] = ("generate:clutter,density=0.11,count=400",)
+    """Generated rooms to train in, so many of a kind, or world files, or names of shipped worlds such as
+    "complex_train"; with several worlds, each episode draws one."""
     eval_world: str = "complex_eval"
     """World file, name of a shipped world, or generated rooms, that evaluations use. It is never trained in."""
     total_steps: int = 200_000
@@ -58,7 +58,7 @@ class Experiment:
     seed: int = 0
     """Seed of everything random. Same seed, machine and versions: the same run."""
     out: Path | None = None
-    """The run's directory; by default runs/PRESET-MODEL-WORLD-seedSEED."""
+    """The run's directory; by default runs/PRESET-MODEL-seedSEED, with other worlds' names before the seed."""
 
 
 @dataclass(frozen=True)
@@ -272,7 +272,10 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
         """Where the run's files go."""
         if self.out is not None:
             return self.out
-        return Path("runs") / f"{self.preset}-{self.model}-{'+'.join(map(short_name, self.world))}-seed{self.seed}"
+        named = [self.preset, self.model]
+        if self.world != PRESETS[self.preset].world:
+            named.append("+".join(map(short_name, self.world)))
+        return Path("runs") / "-".join([*named, f"seed{self.seed}"])
 
     def to_dict(self) -> dict[str, Any]:
         """The settings as plain values, for JSON."""
@@ -324,6 +327,7 @@ PRESETS: dict[str, TrainConfig] = {
     # Section 5.3 of the thesis; what it leaves open is listed in docs/thesis.md.
     "thesis": TrainConfig(
         preset="thesis",
+        world=("complex_train",),
         total_steps=400_000,
         num_envs=8,
         random_paths=False,

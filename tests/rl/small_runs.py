@@ -17,6 +17,7 @@ def small_config(out: Path, **settings: Any) -> TrainConfig:
     small = replace(
         PRESETS["fast"],
         camera=DepthCamera(width=20, height=12),
+        world=("complex_train",),
         eval_world=str(HALL),
         rearrangements=2,
         total_steps=768,

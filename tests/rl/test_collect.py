@@ -33,6 +33,7 @@ from rl.networks import make_q_actor
 CAMERA = DepthCamera(width=20, height=12)
 CONFIG = replace(
     PRESETS["fast"],
+    world=("complex_train",),
     camera=CAMERA,
     num_envs=4,
     steps_per_batch=32,

@@ -123,8 +123,9 @@ def test_values_of_another_version_are_refused(values, named):
 @pytest.mark.parametrize(
     ("settings", "directory"),
     [
-        ({}, "runs/fast-I-complex_train-seed0"),
+        ({}, "runs/fast-I-seed0"),
         ({"model": "S", "seed": 3, "world": ("rooms/a.yaml", "b.yml")}, "runs/fast-S-a+b-seed3"),
+        ({"world": ("generate:office, count=9",)}, "runs/fast-I-office,count=9-seed0"),
         ({"out": Path("elsewhere")}, "elsewhere"),
     ],
 )

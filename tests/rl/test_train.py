@@ -146,7 +146,18 @@ def is_alive(process: int) -> bool:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_an_asynchronous_run_leaves_no_process_and_no_shared_memory(tmp_path, number):
     command = [sys.executable, "-m", "rl.cli", "train", "--collector", "async", "--out", str(tmp_path / "run")]
-    small = ["--rearrangements", "0", "--camera.width", "20", "--camera.height", "12", "--log-interval", "64"]
+    small = [
+        "--world",
+        "complex_train",
+        "--rearrangements",
+        "0",
+        "--camera.width",
+        "20",
+        "--camera.height",
+        "12",
+        "--log-interval",
+        "64",
+    ]
     small += ["--warmup-steps", "64", "--autocast", "float32"]
     with subprocess.Popen(command + small, stderr=subprocess.PIPE, start_new_session=True, text=True) as process:
         deadline = time.monotonic() + 240
