@@ -272,7 +272,7 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
         """Where the run's files go."""
         if self.out is not None:
             return self.out
-        named = [self.preset, self.model]
+        named: list[str] = [self.preset, self.model]
         if self.world != PRESETS[self.preset].world:
             named.append("+".join(map(short_name, self.world)))
         return Path("runs") / "-".join([*named, f"seed{self.seed}"])
