@@ -9,6 +9,7 @@ False
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 from collections import Counter
@@ -21,11 +22,14 @@ import numpy as np
 import shapely
 
 from navsim.errors import Finding, Problem, WorldError
-from navsim.oddities import Equipment, oddities, outline, passages_of
+from navsim.oddities import Equipment, oddities, outlines, passages_of
 from navsim.passages import Passage
 from navsim.planner import shortest_path_length
-from navsim.world import World, parse_world
+from navsim.world import MOST_TOLD, World, parse_world
 from navsim.worldfile import decoded, read_document, read_file
+
+MOST_PATHS = 400
+"""Pairs of a start and a goal that are summarised: each takes milliseconds in a furnished room."""
 
 Progress = Callable[[Iterable[Any], int], Iterable[Any]]
 """Passes on what it is given, of that many, and shows how far it has come."""
@@ -56,7 +60,9 @@ class Summary:
     density: float
     """Share of the floor that the obstacles cover, seen from above, 0 to 1."""
     paths: tuple[PathSummary, ...]
-    """Every pair of a start and a goal; empty where either is random."""
+    """The first ``MOST_PATHS`` pairs of a start and a goal; empty where either is random."""
+    paths_left_out: int = 0
+    """How many more pairs there are."""
 
 
 @dataclass(frozen=True)
@@ -166,6 +172,8 @@ def check_text(
     except WorldError as error:
         return Report(source, text, None, error.findings, equipment)
     odd = oddities(world, equipment)
+    if len(odd) > MOST_TOLD:
+        odd = [*odd[:MOST_TOLD], Problem((), f"{len(odd) - MOST_TOLD} more oddities are not told; look at these first")]
     if solve:
         odd += unsolved(world, equipment, progress)
     return Report(source, text, world, tuple(document.findings(odd, "warning")), equipment)
@@ -204,14 +212,21 @@ def summarise(world: World, equipment: Equipment | None = None) -> Summary:
     """What ``world`` is like."""
     equipment = equipment or Equipment()
     room = shapely.box(*-world.half_size, *world.half_size)
-    covered = shapely.union_all([outline(obstacle) for obstacle in world.obstacles]).intersection(room).area
+    covered = shapely.union_all(outlines(world.obstacles)).intersection(room).area
     paths = tuple(
         PathSummary(i, j, _length(world, i, j, equipment), passage)
-        for i, row in enumerate(passages_of(world, equipment.robot))
-        for j, passage in enumerate(row)
+        for i, j, passage in itertools.islice(
+            (
+                (i, j, passage)
+                for i, row in enumerate(passages_of(world, equipment.robot))
+                for j, passage in enumerate(row)
+            ),
+            MOST_PATHS,
+        )
     )
     kinds = Counter(obstacle.kind for obstacle in world.obstacles)
-    return Summary(room.area, dict(sorted(kinds.items())), covered / room.area, paths)
+    left_out = len(world.paths) - len(paths)
+    return Summary(room.area, dict(sorted(kinds.items())), covered / room.area, paths, left_out)
 
 
 def _length(world: World, start: int, goal: int, equipment: Equipment) -> float:

@@ -123,7 +123,7 @@ def print_summary(report: Report, console: Console, paths: bool = False) -> None
     for label, text in (
         ("floor", _floor(summary)),
         ("passages", _narrowest(summary.paths)),
-        ("shortest paths", _lengths(summary.paths, goal_radius)),
+        ("shortest paths", _lengths(summary, goal_radius)),
     ):
         if text:
             console.print(Text.assemble((f"  {label:<15}", "dim"), text), soft_wrap=True)
@@ -147,13 +147,15 @@ def _narrowest(paths: Sequence[PathSummary]) -> str:
     return f"{path.passage.width:.2f} m at the narrowest {where} (on the widest way)"
 
 
-def _lengths(paths: Sequence[PathSummary], goal_radius: float) -> str:
-    if not paths:
+def _lengths(summary: Summary, goal_radius: float) -> str:
+    if not summary.paths:
         return ""
-    lengths = [path.length for path in paths]
+    lengths = [path.length for path in summary.paths]
     mean = sum(lengths) / len(lengths)
     spread = f"{min(lengths):.2f} to {max(lengths):.2f} m, {mean:.2f} m on average"
-    return f"{len(paths)}: {spread} (to {goal_radius:g} m from the goal)"
+    count, beyond = len(lengths), summary.paths_left_out
+    counted = f"the first {count} of {count + beyond}" if beyond else f"{count}"
+    return f"{counted}: {spread} (to {goal_radius:g} m from the goal)"
 
 
 def _between(passage: Passage) -> str:

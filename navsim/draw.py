@@ -139,14 +139,16 @@ def draw_world(
         )
     axes.add_patch(Rectangle((-half_x, -half_y), 2 * half_x, 2 * half_y, fc=FLOOR, ec="none"))
 
+    heights = _heights(world)
     kinds = [_kind(obstacle, camera, robot) for obstacle in world.obstacles]
+    most_arrows = MOST_ARROWS // max(1, sum(obstacle.motion is not None for obstacle in world.obstacles))
     for index in sorted(range(len(world.obstacles)), key=lambda index: world.obstacles[index].top):
         obstacle = world.obstacles[index]
         if not dynamic and (obstacle.motion is not None or obstacle.pushable is not None):
             continue
-        axes.add_patch(obstacle_patch(obstacle, _heights(world), kinds[index]))
+        axes.add_patch(obstacle_patch(obstacle, heights, kinds[index]))
         if obstacle.motion is not None:
-            _draw_motion(axes, obstacle)
+            _draw_motion(axes, obstacle, most_arrows)
     if names:
         _draw_names(axes, world)
     if starts and not isinstance(world.starts, str):
@@ -164,7 +166,7 @@ def draw_world(
     for spine in axes.spines.values():
         spine.set_visible(False)
     if colour_bar and world.obstacles:
-        draw_scale(axes, ScalarMappable(_heights(world), HEIGHT_COLOURS), "top of the obstacle, m")
+        draw_scale(axes, ScalarMappable(heights, HEIGHT_COLOURS), "top of the obstacle, m")
     if legend:
         handles = _world_legend(world, kinds, starts=starts, goals=goals, camera=camera, robot=robot)
         if handles:
@@ -179,17 +181,21 @@ def draw_world(
             )
 
 
+MOST_NAMES = 300
+"""That are written on a plan: more cannot be read, and each takes its time to find a place."""
+MOST_ARROWS = 600
+"""That are drawn on the ways of moving obstacles, of all together."""
 _NAME_SIZE = 6.5  # points
 _ASIDE = tuple(_NAME_SIZE * np.array([(x, y) for y in (0, 1.3, -1.3, 2.6, -2.6) for x in (0, 2.5, -2.5)]))
 """Where a name may go instead of on the middle of its obstacle, points, in the order in which they are tried."""
 
 
 def _draw_names(axes: Axes, world: World) -> None:
-    """Writes each obstacle's name on it, or beside it where another name is in the way; large obstacles come first."""
+    """Writes obstacles' names on them, or beside them where another name is in the way: the ``MOST_NAMES`` largest."""
     room = axes.get_window_extent()
     points = 72.0 / axes.figure.dpi * float(min((room.width, room.height) / world.half_size)) / 2.0
     taken: list[tuple[float, float, float, float]] = []
-    for obstacle in sorted(world.obstacles, key=_spread, reverse=True):
+    for obstacle in sorted(world.obstacles, key=_spread, reverse=True)[:MOST_NAMES]:
         middle = _middle(obstacle)
         half = 0.5 * _NAME_SIZE * np.array([0.58 * len(obstacle.name), 1.15])
         places = [(middle * points + aside, aside) for aside in _ASIDE]
@@ -252,8 +258,8 @@ def _heights(world: World) -> Normalize:
 
 def dynamic_patches(world: World, camera: DepthCamera, robot: Robot = TURTLEBOT2) -> list[Patch]:
     """Patches of the world's ``navsim.dynamics.dynamic_obstacles``, in their order, where the file puts them."""
-    obstacles = [world.obstacles[one.index] for one in dynamic_obstacles(world)]
-    return [obstacle_patch(obstacle, _heights(world), _kind(obstacle, camera, robot)) for obstacle in obstacles]
+    obstacles, heights = [world.obstacles[one.index] for one in dynamic_obstacles(world)], _heights(world)
+    return [obstacle_patch(obstacle, heights, _kind(obstacle, camera, robot)) for obstacle in obstacles]
 
 
 def move_dynamic_patches(patches: Sequence[Patch], world: World, poses: np.ndarray) -> None:
@@ -266,7 +272,7 @@ def move_dynamic_patches(patches: Sequence[Patch], world: World, poses: np.ndarr
             patch.set_xy(placed(_corners(obstacle) - one.reference, pose))
 
 
-def _draw_motion(axes: Axes, obstacle: Obstacle) -> None:
+def _draw_motion(axes: Axes, obstacle: Obstacle, most_arrows: int) -> None:
     """Draw the way of a moving obstacle, with arrows in the middle of its lines, and the far end of what goes back."""
     motion = obstacle.motion
     assert motion is not None
@@ -285,7 +291,7 @@ def _draw_motion(axes: Axes, obstacle: Obstacle) -> None:
     if isinstance(motion, Swing):
         _draw_arrow(axes, line[len(line) // 2 - 1], line[len(line) // 2])
     else:
-        for begin, end in itertools.pairwise(line):
+        for begin, end in itertools.islice(itertools.pairwise(line), most_arrows):
             _draw_arrow(axes, begin, end)
     if not motion.is_circuit:
         ends = knots[[0, -1]] if isinstance(motion, Swing) else knots[[-1]]

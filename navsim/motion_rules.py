@@ -23,6 +23,12 @@ TOUCH = 1e-6
 """Metres: footprints that overlap by less only touch."""
 SWING_STEP = 2e-3
 """Metres that the farthest point of a swinging obstacle moves between the angles that are looked at."""
+MOST_MOVABLE = 300
+"""Obstacles of one world that move or can be pushed."""
+MOST_SWEEPS = 40_000
+"""Of all moving obstacles together: convex pieces, each times the angles or lines of its way."""
+MOST_PAIRS = 1_000_000
+"""Pairs of a movable piece and another one whose bounding boxes meet, of all together."""
 
 
 class Sweep(NamedTuple):
@@ -43,12 +49,11 @@ def sweeps(one: DynamicObstacle, swing_step: float = SWING_STEP) -> list[Sweep]:
         one: an obstacle that moves by itself.
         swing_step: metres that its farthest point moves between two angles of a swing; straight ways are exact.
     """
-    if (one.knots[:, 2] != 0.0).any():
+    if _swings(one):
         (x, y, begin), (_, _, end) = one.knots
-        count = 1 + max(1, math.ceil(abs(end - begin) * one.reach / swing_step))
         return [
             Sweep(placed(part.vertices, np.array([x, y, angle])), part.radius, f"at {math.degrees(angle):.0f}°")
-            for angle in np.linspace(begin, end, count)
+            for angle in np.linspace(begin, end, _angles(one, swing_step))
             for part in one.parts
         ]
     found = []
@@ -61,11 +66,82 @@ def sweeps(one: DynamicObstacle, swing_step: float = SWING_STEP) -> list[Sweep]:
     return found
 
 
+def count_sweeps(one: DynamicObstacle, swing_step: float = SWING_STEP) -> int:
+    """How many :func:`sweeps` has, without making them."""
+    return len(one.parts) * (_angles(one, swing_step) if _swings(one) else len(one.knots) - 1)
+
+
+def _swings(one: DynamicObstacle) -> bool:
+    return bool((one.knots[:, 2] != 0.0).any())
+
+
+def _angles(one: DynamicObstacle, swing_step: float) -> int:
+    """Of a swing that are looked at, both ends included."""
+    (_, _, begin), (_, _, end) = one.knots
+    return 1 + max(1, math.ceil(abs(end - begin) * one.reach / swing_step))
+
+
+class _CrowdedError(Exception):
+    """Too many pairs of pieces to be looked at."""
+
+
 def broken_rules_of_motion(world: World) -> list[Problem]:
     """Every rule that the moving and the pushable obstacles of ``world`` break."""
-    if all(obstacle.motion is None and obstacle.pushable is None for obstacle in world.obstacles):
+    movable = [i for i, one in enumerate(world.obstacles) if one.motion is not None or one.pushable is not None]
+    if not movable:
         return []
-    return [*_contradictions(world), *_ways_that_are_not_free(world), *_cramped_pushables(world)]
+    if len(movable) > MOST_MOVABLE:
+        text = f"is one more than the {MOST_MOVABLE} obstacles of a world that may move or be pushed; let some stand"
+        return [Problem(_where(world, movable[MOST_MOVABLE]), text)]
+    total = 0
+    for one in dynamic_obstacles(world):
+        total += count_sweeps(one) if one.moves else 0
+        if total > MOST_SWEEPS:
+            text = f"all ways together have more than {MOST_SWEEPS} pieces to be looked at; shorten ways and swings"
+            return [Problem(_motion(world, one), f"{text}, or give moving obstacles fewer corners")]
+    try:
+        return [*_contradictions(world), *_ways_that_are_not_free(world), *_cramped_pushables(world)]
+    except _CrowdedError:
+        text = f"more than {MOST_PAIRS} pieces stand beside the ways of moving and pushable obstacles; leave some out"
+        return [Problem(("obstacles",), text)]
+
+
+class _Standing:
+    """What stands still in a world, for many questions about what overlaps it."""
+
+    def __init__(self, prisms: Sequence[Prism]) -> None:
+        self.prisms = prisms
+        self._footprints = Footprints.of(prisms)
+        self._base, self._top = np.array([(prism.base, prism.top) for prism in prisms]).reshape(-1, 2).T
+        self._pairs = 0
+
+    def overlaps(self, floor: Footprints, base: float, top: float) -> list[tuple[int, int]]:
+        """Every pair of a piece of ``floor`` and of what stands at its heights, that overlap by more than ``TOUCH``."""
+        return self._overlaps(floor, (self._base < top) & (self._top > base))
+
+    def overlaps_of_earlier(self, floor: Footprints, index: int) -> list[tuple[int, int]]:
+        """The same with the pieces of obstacles that come before ``index``, whatever their heights."""
+        return self._overlaps(floor, np.array([prism.obstacle < index for prism in self.prisms], dtype=bool))
+
+    def _overlaps(self, floor: Footprints, counts: np.ndarray) -> list[tuple[int, int]]:
+        found: list[tuple[int, int]] = []
+        if not len(floor) or not counts.any():
+            return found
+        shrunk, others = _shrunk(floor), self._footprints
+        for a, b in overlapping_boxes(shrunk.low, shrunk.high, others.low, others.high):
+            self._pairs += len(a)
+            if self._pairs > MOST_PAIRS:
+                raise _CrowdedError
+            a, b = a[counts[b]], b[counts[b]]
+            if not len(a):
+                continue
+            edge, pair, begin = shrunk.edges_of(a)
+            gaps = others.segment_distances(shrunk.starts[edge], shrunk.ends[edge], b[pair])
+            gaps = gaps - shrunk.radius[a][pair]
+            holds = shrunk.point_distances(others.centre[b], a) <= 0.0
+            meets = (np.minimum.reduceat(gaps, begin) <= 0.0) | holds
+            found += zip(a[meets].tolist(), b[meets].tolist(), strict=True)
+        return found
 
 
 def _contradictions(world: World) -> Iterator[Problem]:
@@ -86,13 +162,21 @@ def _contradictions(world: World) -> Iterator[Problem]:
             yield Problem(_motion(world, one), text)
 
 
+def _where(world: World, index: int) -> tuple[str | int, ...]:
+    return ("obstacles", index, world.obstacles[index].kind)
+
+
 def _motion(world: World, one: DynamicObstacle) -> tuple[str | int, ...]:
-    return ("obstacles", one.index, world.obstacles[one.index].kind, "motion")
+    return (*_where(world, one.index), "motion")
+
+
+def _fixed(world: World) -> _Standing:
+    return _Standing([prism for prism in world.fixed_prisms if prism.obstacle >= 0])
 
 
 def _ways_that_are_not_free(world: World) -> Iterator[Problem]:
     """One problem for each moving obstacle whose way leads out of the room or into something that stands."""
-    half = world.half_size
+    half, fixed = world.half_size, _fixed(world)
     for one in dynamic_obstacles(world):
         if not one.moves:
             continue
@@ -104,60 +188,34 @@ def _ways_that_are_not_free(world: World) -> Iterator[Problem]:
             text = f"carries it out of the room, x from {-x:g} to {x:g} and y from {-y:g} to {y:g}"
             yield Problem(_motion(world, one), f"{text}, {swept[outside[0]].where}; keep all of it inside")
             continue
-        fixed = [p for p in world.fixed_prisms if p.obstacle >= 0 and p.overlaps_heights(one.base, one.top)]
-        hits = _overlaps(floor, Footprints.of(fixed))
+        hits = fixed.overlaps(floor, one.base, one.top)
         if hits:
             sweep, prism = min(hits)
-            text = f"carries it into '{fixed[prism].name}', {swept[sweep].where}; leave room for the whole of it"
+            text = f"carries it into '{fixed.prisms[prism].name}', {swept[sweep].where}; leave room for the whole of it"
             yield Problem(_motion(world, one), text)
 
 
 def _cramped_pushables(world: World) -> Iterator[Problem]:
     """The pushable obstacles that reach out of the room or into something else from the beginning."""
     pushable = [one for one in dynamic_obstacles(world) if not one.moves]
-    before: list[DynamicObstacle] = []
+    fixed, others = _fixed(world), _Standing([prism for one in pushable for prism in _at_rest(world, one)])
     for one in pushable:
-        where = ("obstacles", one.index, world.obstacles[one.index].kind)
-        own = _footprints_at_rest([one])
+        where = _where(world, one.index)
+        own = Footprints.of(_at_rest(world, one))
         if (np.maximum(-own.low, own.high) > world.half_size + TOUCH).any():
             yield Problem(where, "reaches out of the room, where nothing could push it; move it inside")
             continue
-        fixed = [p for p in world.fixed_prisms if p.obstacle >= 0 and p.overlaps_heights(one.base, one.top)]
-        names = [prism.name for prism in fixed]
-        hits = _overlaps(own, Footprints.of(fixed))
+        standing, hits = fixed, fixed.overlaps(own, one.base, one.top)
         if not hits:
-            names = [world.obstacles[other.index].name for other in before for _ in other.parts]
-            hits = _overlaps(own, _footprints_at_rest(before))
+            standing, hits = others, others.overlaps_of_earlier(own, one.index)
         if hits:
-            yield Problem(where, f"can be pushed, but stands inside '{names[min(hits)[1]]}'; move one of them away")
-        before.append(one)
+            name = standing.prisms[min(hits)[1]].name
+            yield Problem(where, f"can be pushed, but stands inside '{name}'; move one of them away")
 
 
-def _footprints_at_rest(obstacles: Sequence[DynamicObstacle]) -> Footprints:
-    return Footprints.of(
-        [
-            Prism("", one.index, one.base, one.top, part.vertices + one.reference, part.radius)
-            for one in obstacles
-            for part in one.parts
-        ]
-    )
-
-
-def _overlaps(first: Footprints, second: Footprints) -> list[tuple[int, int]]:
-    """Every pair of a footprint and another that overlap by more than ``TOUCH``."""
-    found: list[tuple[int, int]] = []
-    if not len(first) or not len(second):
-        return found
-    shrunk = _shrunk(first)
-    for a, b in overlapping_boxes(shrunk.low, shrunk.high, second.low, second.high):
-        if not len(a):
-            continue
-        edge, pair, begin = shrunk.edges_of(a)
-        gaps = second.segment_distances(shrunk.starts[edge], shrunk.ends[edge], b[pair]) - shrunk.radius[a][pair]
-        holds = shrunk.point_distances(second.centre[b], a) <= 0.0
-        meets = (np.minimum.reduceat(gaps, begin) <= 0.0) | holds
-        found += zip(a[meets].tolist(), b[meets].tolist(), strict=True)
-    return found
+def _at_rest(world: World, one: DynamicObstacle) -> list[Prism]:
+    name = world.obstacles[one.index].name
+    return [Prism(name, one.index, one.base, one.top, part.vertices + one.reference, part.radius) for part in one.parts]
 
 
 def _shrunk(footprints: Footprints) -> Footprints:

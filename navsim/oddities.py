@@ -6,7 +6,7 @@ Each function looks for one oddity and words it as a :class:`navsim.errors.Probl
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -25,6 +25,7 @@ REACHING_OUT = 1e-3
 """Metres that an obstacle may reach beyond the room without a remark."""
 SAME_PLACE = 1e-6
 """Metres within which an outline that touches another one counts as inside it."""
+_MANY = 2_000  # obstacles
 _VIEWS = np.deg2rad(np.arange(-175.0, 181.0, 5.0))
 
 
@@ -47,10 +48,15 @@ class Equipment:
         return self.camera.mount_z + self.camera.max_range * max(0.0, float(self.camera.row_slopes.max()))
 
 
-def outline(obstacle: Obstacle) -> shapely.Polygon:
-    """The footprint of an obstacle, metres; a cylinder's has 256 corners."""
+def outlines(obstacles: Sequence[Obstacle]) -> list[shapely.Polygon]:
+    """The footprints of obstacles, metres; a cylinder's has 256 corners, or 32 where there are very many obstacles."""
+    quad_segs = 64 if len(obstacles) <= _MANY else 8
+    return [_outline(obstacle, quad_segs) for obstacle in obstacles]
+
+
+def _outline(obstacle: Obstacle, quad_segs: int) -> shapely.Polygon:
     if isinstance(obstacle, Cylinder):
-        return shapely.Point(obstacle.at).buffer(obstacle.radius, quad_segs=64)
+        return shapely.Point(obstacle.at).buffer(obstacle.radius, quad_segs=quad_segs)
     if isinstance(obstacle, Polygon):
         return shapely.Polygon(obstacle.points)
     return shapely.Polygon(obstacle.footprints()[0][0])
@@ -107,12 +113,12 @@ def _reaching_out(world: World) -> Iterator[Problem]:
 
 def _inside_others(world: World) -> Iterator[Problem]:
     standing = [i for i, one in enumerate(world.obstacles) if one.motion is None and one.pushable is None]
-    outlines = [outline(world.obstacles[i]) for i in standing]
-    if len(outlines) < 2:
+    footprints = outlines([world.obstacles[i] for i in standing])
+    if len(footprints) < 2:
         return
-    areas = shapely.area(outlines)
-    tree = shapely.STRtree(outlines)
-    shrunk = shapely.buffer(outlines, -SAME_PLACE, join_style="mitre")
+    areas = shapely.area(footprints)
+    tree = shapely.STRtree(footprints)
+    shrunk = shapely.buffer(footprints, -SAME_PLACE, join_style="mitre")
     holders: dict[int, int] = {}
     for inner, outer in tree.query(shrunk, predicate="within").T.tolist():
         if inner == outer or inner in holders:

@@ -7,11 +7,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from typing import Any
 
 import mapbox_earcut
 import numpy as np
 
 Vertex = tuple[float, float]
+_PAIRS_A_CHUNK = 2**18
+"""Pairs of edges that are looked at together."""
 
 
 def signed_area(points: Sequence[Vertex]) -> float:
@@ -42,14 +45,24 @@ def crossing_edges(points: Sequence[Vertex]) -> tuple[int, int] | None:
         a, b, c = points[i], following[i], following[(i + 1) % count]
         if _turn(a, b, c) == 0.0 and (b[0] - a[0]) * (c[0] - b[0]) + (b[1] - a[1]) * (c[1] - b[1]) <= 0.0:
             return i, (i + 1) % count
-    starts, ends = np.asarray(points, dtype=np.float64), np.asarray(following, dtype=np.float64)
+    starts: np.ndarray = np.asarray(points, dtype=np.float64)
+    ends: np.ndarray = np.asarray(following, dtype=np.float64)
     low, high = np.minimum(starts, ends), np.maximum(starts, ends)
-    for i in range(count - 2):
-        others = np.arange(i + 2, count - (i == 0))
-        near = ((low[others] <= high[i]) & (high[others] >= low[i])).all(axis=1)
-        for j in others[near].tolist():
-            if _touch(points[i], following[i], points[j], following[j]):
-                return i, j
+    rows = max(1, _PAIRS_A_CHUNK // count)
+    for begin in range(0, count, rows):
+        near = np.tri(min(rows, count - begin), count, begin + 1, dtype=bool)  # edges before it, itself, the next one
+        np.logical_not(near, out=near)
+        for axis in (0, 1):
+            near &= low[:, axis] <= high[begin : begin + rows, axis, None]
+            near &= high[:, axis] >= low[begin : begin + rows, axis, None]
+        if begin == 0:
+            near[0, -1] = False  # the last edge and the first are neighbours
+        row, other = np.nonzero(near)
+        one = begin + row
+        meets = _touching(starts[one].T, ends[one].T, starts[other].T, ends[other].T)
+        if meets.any():
+            first = int(np.argmax(meets))
+            return int(one[first]), int(other[first])
     return None
 
 
@@ -114,11 +127,12 @@ def _is_convex(points: Sequence[Vertex]) -> bool:
     return all(_turn(points[i - 1], points[i], points[(i + 1) % count]) >= 0.0 for i in range(count))
 
 
-def _turn(a: Vertex, b: Vertex, c: Vertex) -> float:
+def _turn(a: Any, b: Any, c: Any) -> Any:
     """Twice the area of the triangle a, b, c: positive for a left turn at ``b``."""
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
-def _touch(a: Vertex, b: Vertex, c: Vertex, d: Vertex) -> bool:
-    """Whether the segments a-b and c-d, whose bounding boxes overlap, have a point in common."""
-    return _turn(a, b, c) * _turn(a, b, d) <= 0.0 and _turn(c, d, a) * _turn(c, d, b) <= 0.0
+def _touching(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """Whether segments a-b and c-d, each ``(2, K)``, whose bounding boxes overlap, have a point in common."""
+    apart = (_turn(a, b, c) * _turn(a, b, d) > 0.0) | (_turn(c, d, a) * _turn(c, d, b) > 0.0)
+    return ~apart

@@ -88,25 +88,31 @@ class _CellIndex:
 
     _SMALL = 64
     _CELL = 1.25  # metres; much smaller than the disc around a view, so that the lists hold little else
+    _MOST_ENTRIES = 4_000_000  # of a world's cells and of their lists; cells are larger in a world that takes more
 
     def __init__(self, scene: Scene, reach: float) -> None:
-        origins, shapes, first_cells, starts, lists = [], [], [], [np.zeros(1, dtype=np.intp)], []
+        origins, shapes, sides, first_cells, starts, lists = [], [], [], [], [np.zeros(1, dtype=np.intp)], []
         cells_so_far = entries_so_far = 0
         for world in range(scene.num_worlds):
             begin, end = scene.first_prism[world], scene.first_prism[world + 1]
             extent = scene.half_extent[begin:end] + scene.radius[begin:end, None]
             low, high = scene.centre[begin:end] - extent, scene.centre[begin:end] + extent
+            side = self._CELL
             if end - begin <= self._SMALL:
                 origin, shape = np.zeros(2), np.ones(2, dtype=np.intp)
                 counts, entries = np.array([end - begin]), np.arange(begin, end)
             else:
                 # Cells reach over all that there is; a position outside falls into the nearest border cell, which
                 # may be further away than its own distance: the border is padded by `reach` so that all are empty.
-                origin = low.min(axis=0) - reach - self._CELL
-                shape = np.ceil((high.max(axis=0) + reach + self._CELL - origin) / self._CELL).astype(np.intp)
-                first = np.floor((low - reach - origin) / self._CELL).astype(np.intp)
-                last = np.floor((high + reach - origin) / self._CELL).astype(np.intp)
-                span = last - first + 1
+                while True:
+                    origin = low.min(axis=0) - reach - side
+                    shape = np.ceil((high.max(axis=0) + reach + side - origin) / side).astype(np.intp)
+                    first = np.floor((low - reach - origin) / side).astype(np.intp)
+                    span = np.floor((high + reach - origin) / side).astype(np.intp) - first + 1
+                    entries_needed = max(int(np.prod(shape)), int(np.prod(span, axis=1).sum()))
+                    if entries_needed <= self._MOST_ENTRIES or (shape <= 3).all():
+                        break
+                    side *= 2.0
                 prism, inside = expand(span[:, 0] * span[:, 1])
                 cell = (
                     (first[prism, 0] + inside // span[prism, 1]) * shape[1] + first[prism, 1] + inside % span[prism, 1]
@@ -116,19 +122,20 @@ class _CellIndex:
                 entries = begin + prism[order]
             origins.append(origin)
             shapes.append(shape)
+            sides.append(side)
             first_cells.append(cells_so_far)
             starts.append(entries_so_far + np.cumsum(counts))
             lists.append(entries)
             cells_so_far += len(counts)
             entries_so_far += len(entries)
-        self._origin, self._shape = np.array(origins), np.array(shapes)
+        self._origin, self._shape, self._side = np.array(origins), np.array(shapes), np.array(sides)
         self._first_cell = np.array(first_cells, dtype=np.intp)
         self._start = np.concatenate(starts)
         self._entries = np.concatenate(lists).astype(np.intp)
 
     def lookup(self, world_index: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         shape = self._shape[world_index]
-        cell = ((positions - self._origin[world_index]) / self._CELL).astype(np.intp)
+        cell = ((positions - self._origin[world_index]) / self._side[world_index, None]).astype(np.intp)
         cell = np.minimum(np.maximum(cell, 0), shape - 1)
         flat = self._first_cell[world_index] + cell[:, 0] * shape[:, 1] + cell[:, 1]
         start = self._start[flat]

@@ -7,8 +7,10 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
+import shapely
 
 from navsim.errors import Problem, key_path
+from navsim.footprints import Footprints
 from navsim.motion_rules import broken_rules_of_motion
 from navsim.planner import CONTACT, FreeSpace, free_space
 from navsim.robot import TURTLEBOT2
@@ -24,6 +26,11 @@ SHORTEST_TRIP = 0.5
 """Metres between a start and a goal when either is drawn at random."""
 MOST_PLACES = 20_000
 """Places that are tried for a random start or goal before a room is said to have none."""
+MOST_OVERLAPS = 300_000
+"""Pairs of obstacles, or convex pieces of such, whose bounding boxes overlap."""
+_BOXES_A_CHUNK = 200
+MOST_NAMED = 20
+"""Starts that a message names."""
 
 _Place = tuple[str, int]
 """Where a start or a goal stands in the file, such as ``("starts", 0)``."""
@@ -36,6 +43,9 @@ def broken_rules(world: World) -> list[Problem]:
     free; starts and goals have clearance; every pair of them is connected; and there is room for those that are drawn
     at random.
     """
+    if _is_too_crowded(world):  # most of what follows takes time by the pair
+        text = f"more than {MOST_OVERLAPS} pairs of them overlap, or of the pieces that polygons are cut into"
+        return [Problem(("obstacles",), f"{text}; leave out those that are inside others")]
     problems = [*_obstacles_outside(world), *broken_rules_of_motion(world)]
     space = free_space(world, TURTLEBOT2.radius, TURTLEBOT2.height)
     listed = _listed(world, "starts"), _listed(world, "goals")
@@ -50,6 +60,22 @@ def broken_rules(world: World) -> list[Problem]:
     if world.random_starts or world.random_goals:
         return problems + _no_random_counterpart(space, {**starts, **goals}, world.random_starts)
     return problems + _cut_off(space, starts, goals)
+
+
+def _is_too_crowded(world: World) -> bool:
+    prisms = [prism for prism in world.prisms if prism.obstacle >= 0]
+    if len(prisms) ** 2 <= MOST_OVERLAPS:
+        return False
+    pieces = Footprints.of(prisms)
+    boxes = shapely.box(*pieces.low.T, *pieces.high.T)
+    tree = shapely.STRtree(boxes)
+    pairs = 0
+    for begin in range(0, len(boxes), _BOXES_A_CHUNK):
+        first, second = tree.query(boxes[begin : begin + _BOXES_A_CHUNK])
+        pairs += int(np.count_nonzero(begin + first < second))
+        if pairs > MOST_OVERLAPS:
+            return True
+    return False
 
 
 def _listed(world: World, key: str) -> dict[_Place, tuple[float, float]]:
@@ -94,11 +120,14 @@ def _cut_off(
     if not starts or not goals:
         return []
     regions = space.regions(np.array([*starts.values(), *goals.values()]))
+    names, own = list(starts), regions[: len(starts)]
     problems = []
     for where, region in zip(goals, regions[len(starts) :], strict=True):
-        lost = [key_path(start) for start, own in zip(starts, regions, strict=False) if own != region]
+        lost = np.flatnonzero(own != region).tolist()
         if lost:
-            which = "any start" if len(lost) == len(starts) else " and ".join(lost)
+            shown = [key_path(names[i]) for i in lost[:MOST_NAMED]]
+            shown += [f"{len(lost) - MOST_NAMED} more"] if len(lost) > MOST_NAMED else []
+            which = "any start" if len(lost) == len(starts) else " and ".join(shown)
             problems.append(Problem(where, f"is cut off from {which}; {_open_a_gap()}"))
     return problems
 
@@ -115,9 +144,10 @@ def _no_random_counterpart(
             return []
         places = places[space.fits(places) & space.fits_with_room(places, room)]
         regions = space.regions(np.concatenate([points, places]))
-        mates = regions[: len(points), None] == regions[len(points) :]
-        apart = np.linalg.norm(points[:, None] - places, axis=2) >= SHORTEST_TRIP
-        paired |= (mates & apart).any(axis=1)
+        own, others = np.split(regions, [len(points)])
+        for i in np.flatnonzero(~paired):
+            apart = np.hypot(*(places - points[i]).T) >= SHORTEST_TRIP
+            paired[i] = ((others == own[i]) & apart).any()
     wanted = "start" if random_starts else "goal"
     text = f"no place for a random {wanted} is connected with it; {_open_a_gap()}"
     return [Problem(where, text) for where, mated in zip(listed, paired, strict=True) if not mated]

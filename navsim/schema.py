@@ -16,7 +16,24 @@ from typing import Any
 
 from pydantic.json_schema import models_json_schema
 
-from navsim.world import Box, Cylinder, Goal, Motion, Polygon, Pushable, Start, Swing, Walls, World
+from navsim.motion_rules import MOST_MOVABLE, MOST_SWEEPS
+from navsim.rules import MOST_OVERLAPS
+from navsim.world import (
+    MOST_CORNERS_IN_ALL,
+    MOST_OBSTACLES,
+    MOST_PLACES,
+    Box,
+    Cylinder,
+    Goal,
+    Motion,
+    Polygon,
+    Pushable,
+    Start,
+    Swing,
+    Walls,
+    World,
+)
+from navsim.worldfile import LARGEST_FILE, MOST_VALUES
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
@@ -29,6 +46,10 @@ BEYOND_THE_SCHEMA = {
     "that stands, and no point of it is faster than 10 m/s; what can be pushed stands free.",
     "yaml": "No key is given twice or left without a value; there are no tags; aliases stand for something; numbers "
     "are finite.",
+    "amounts": f"A file holds at most {MOST_VALUES} values, aliases replaced by what they stand for, and is no larger "
+    f"than {LARGEST_FILE // 2**20} MiB; its polygons have at most {MOST_CORNERS_IN_ALL} corners in all; at most "
+    f"{MOST_MOVABLE} obstacles move or can be pushed, and their ways have at most {MOST_SWEEPS} pieces; at most "
+    f"{MOST_OVERLAPS} pairs of obstacles overlap.",
 }
 """Rules that JSON Schema cannot express: the loader tells of them, an editor with the schema alone does not."""
 
@@ -91,6 +112,7 @@ def world_schema() -> dict[str, Any]:
     properties["obstacles"] = {
         **_described(properties["obstacles"]),
         "type": "array",
+        "maxItems": MOST_OBSTACLES,
         "items": {"$ref": "#/$defs/Obstacle"},
     }
     for key, place in (("starts", "Start"), ("goals", "Goal")):
@@ -102,6 +124,7 @@ def world_schema() -> dict[str, Any]:
                 {
                     "type": "array",
                     "minItems": 1,
+                    "maxItems": MOST_PLACES,
                     "items": {"anyOf": [{"$ref": "#/$defs/Point"}, {"$ref": f"#/$defs/{place}"}]},
                 },
             ],
@@ -230,11 +253,11 @@ def _values(schema: dict[str, Any], definitions: dict[str, Any]) -> str:
     if kind == "array":
         if "prefixItems" in schema:
             return f"[two numbers], each {_values(schema['prefixItems'][0], definitions)}"
-        fewest = f" of at least {schema['minItems']}" if schema.get("minItems", 0) > 1 else ""
-        return f"list{fewest}: {_values(schema['items'], definitions)}"
+        fewest = f"{schema['minItems']} to " if schema.get("minItems", 0) > 1 else "up to "
+        return f"list of {fewest}{schema['maxItems']}: {_values(schema['items'], definitions)}"
     if kind == "number":
         return _range(schema)
-    return {"string": "text", "object": "a shape"}[kind]
+    return {"string": f"text of up to {schema.get('maxLength')} letters", "object": "a shape"}[kind]
 
 
 def _range(schema: dict[str, Any]) -> str:

@@ -41,6 +41,21 @@ SMALLEST_LENGTH = 1e-6
 LARGEST_LENGTH = 10_000.0
 """Metres: what is longer is taken for a slip of the pen."""
 
+MOST_OBSTACLES = 10_000
+"""Of one world."""
+MOST_CORNERS = 1_000
+"""Of one polygon."""
+MOST_CORNERS_IN_ALL = 20_000
+"""Of all polygons of a world."""
+MOST_PLACES = 500
+"""Starts of one world, and goals."""
+MOST_WAYPOINTS = 1_000
+"""Of one obstacle's way."""
+LONGEST_NAME = 1_000
+"""Letters."""
+MOST_TOLD = 100
+"""Problems that are told at once."""
+
 Length = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=SMALLEST_LENGTH, le=LARGEST_LENGTH)]
 Coordinate = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-LARGEST_LENGTH, le=LARGEST_LENGTH)]
 Elevation = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=LARGEST_LENGTH)]
@@ -50,7 +65,7 @@ Speed = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=FAST
 TurningSpeed = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0, le=720.0)]
 Friction = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0, le=10.0)]
 Point = tuple[Coordinate, Coordinate]
-Name = Annotated[str, Field(strict=True)]
+Name = Annotated[str, Field(strict=True, max_length=LONGEST_NAME)]
 
 
 class _Settings(BaseModel):
@@ -91,7 +106,7 @@ class Walls(_Settings):
 class Motion(_Settings):
     """How an obstacle moves: along straight lines from point to point, at a constant speed, without turning."""
 
-    path: Annotated[tuple[Point, ...], Field(min_length=2)]
+    path: Annotated[tuple[Point, ...], Field(min_length=2, max_length=MOST_WAYPOINTS)]
     """Corners of the way, metres; the obstacle stands at the first of them where the file puts it."""
     speed: Speed
     """Metres per second."""
@@ -245,7 +260,7 @@ class Polygon(_Obstacle):
 
     kind = "polygon"
 
-    points: Annotated[tuple[Point, ...], Field(min_length=3)]
+    points: Annotated[tuple[Point, ...], Field(min_length=3, max_length=MOST_CORNERS)]
     """Corners of the footprint in order around it, either way, each as x and y, metres; edges do not cross."""
 
     @field_validator("points")
@@ -329,25 +344,32 @@ def _list_or_random(value: object) -> str:
 
 
 _Starts = Annotated[
-    Annotated[tuple[Annotated[Start, BeforeValidator(_point_as_settings)], ...], Tag("list")]
+    Annotated[
+        tuple[Annotated[Start, BeforeValidator(_point_as_settings)], ...], Field(max_length=MOST_PLACES), Tag("list")
+    ]
     | Annotated[Literal["random"], Tag("random")],
     Discriminator(_list_or_random),
     BeforeValidator(_random_or_list),
 ]
 _Goals = Annotated[
-    Annotated[tuple[Annotated[Goal, BeforeValidator(_point_as_settings)], ...], Tag("list")]
+    Annotated[
+        tuple[Annotated[Goal, BeforeValidator(_point_as_settings)], ...], Field(max_length=MOST_PLACES), Tag("list")
+    ]
     | Annotated[Literal["random"], Tag("random")],
     Discriminator(_list_or_random),
     BeforeValidator(_random_or_list),
 ]
-_Obstacles = tuple[
-    Annotated[
-        Annotated[Box, BeforeValidator(_shape_settings), Tag("box")]
-        | Annotated[Cylinder, BeforeValidator(_shape_settings), Tag("cylinder")]
-        | Annotated[Polygon, BeforeValidator(_shape_settings), Tag("polygon")],
-        Discriminator(_shape_of),
+_Obstacles = Annotated[
+    tuple[
+        Annotated[
+            Annotated[Box, BeforeValidator(_shape_settings), Tag("box")]
+            | Annotated[Cylinder, BeforeValidator(_shape_settings), Tag("cylinder")]
+            | Annotated[Polygon, BeforeValidator(_shape_settings), Tag("polygon")],
+            Discriminator(_shape_of),
+        ],
+        ...,
     ],
-    ...,
+    Field(max_length=MOST_OBSTACLES),
 ]
 
 
@@ -380,7 +402,7 @@ class World(_Settings):
 
     format: int = FORMAT
     """Version of the format; this library reads version 1. Files must say it."""
-    name: Annotated[str, Field(strict=True, min_length=1)] = "world"
+    name: Annotated[str, Field(strict=True, min_length=1, max_length=LONGEST_NAME)] = "world"
     """What the world is called; a file's own name when it is not given."""
     size: tuple[Length, Length]
     """Extents of the room along x and y, metres; the origin is its centre."""
@@ -415,6 +437,17 @@ class World(_Settings):
         if not isinstance(value, (list, tuple)):
             raise ValueError(f"must be a list with one shape an entry, such as {_EXAMPLES['obstacles']}")
         return value
+
+    @field_validator("obstacles")
+    @classmethod
+    def _have_few_corners(cls, obstacles: tuple[Obstacle, ...]) -> tuple[Obstacle, ...]:
+        corners = sum(len(obstacle.points) for obstacle in obstacles if isinstance(obstacle, Polygon))
+        if corners > MOST_CORNERS_IN_ALL:
+            raise ValueError(
+                f"the polygons have {corners} corners in all, more than {MOST_CORNERS_IN_ALL}; leave out those that "
+                "matter least, or split the world into several"
+            )
+        return obstacles
 
     @field_validator("obstacles")
     @classmethod
@@ -657,7 +690,10 @@ def parse_world(data: object, default_name: str = "world") -> tuple[World | None
     broken = details[0].get("ctx", {}).get("error")
     if isinstance(broken, _BrokenRulesError):
         return None, [*_worded(lacking, data), *broken.problems]
-    problems = _worded([*lacking, *details], data)
+    problems = _worded([*lacking, *details[:MOST_TOLD]], data)
+    if len(details) > MOST_TOLD:
+        text = f"{len(details) - MOST_TOLD} more mistakes are not told; put these right first"
+        return None, [*problems, Problem(problems[-1].where if problems else (), text)]
     return None, problems + _rules_broken_by_the_rest(data, problems)
 
 
@@ -792,6 +828,12 @@ def _word(where: tuple[str | int, ...], detail: Mapping[str, Any]) -> Problem:
         return Problem(where, f"{_range(kind, context, value)}, not {shown}")
     if kind == "float_type":
         return Problem(where, f"must be a number, not {shown}" if not _is_integer(value) else "is too large a number")
+    if kind == "too_long" and context["max_length"] > 2:
+        what = {"points": "corners", "path": "points", "obstacles": "obstacles", "starts": "starts", "goals": "goals"}
+        limit = f"must be at most {context['max_length']} {what[str(where[-1])]}, not {len(value)}"
+        return Problem(where, f"{limit}; {_LESS.get(str(where[-1]), 'leave some of them out')}")
+    if kind == "string_too_long":
+        return Problem(where, f"must be at most {context['max_length']} letters long, not {len(value)}; shorten it")
     if kind in ("tuple_type", "too_short", "too_long"):
         fewest = {"points": "a list of three points or more", "path": "a list of two points or more"}
         if where[-1] in fewest:
@@ -806,6 +848,13 @@ def _word(where: tuple[str | int, ...], detail: Mapping[str, Any]) -> Problem:
     if kind == "literal_error":
         return Problem(where, f"must be {context['expected']}, not {shown}")
     return Problem(where, f"must be settings such as {example}, not {shown}")
+
+
+_LESS = {
+    "points": "leave out those that matter least, or cut the polygon into several",
+    "obstacles": "split the world into several",
+}
+"""What to do about a list that is too long."""
 
 
 def _word_shape(where: tuple[str | int, ...], entry: object) -> Problem:

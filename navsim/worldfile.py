@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import difflib
 import gc
+import itertools
 import os
 import re
 import stat
@@ -22,14 +23,20 @@ from typing import Any, Literal, NamedTuple, NoReturn
 import yaml
 
 from navsim.errors import Finding, Problem, WorldError
-from navsim.world import World, parse_world
+from navsim.world import MOST_OBSTACLES, MOST_TOLD, World, parse_world
 
 DEEPEST_NESTING = 50
 """Lists and mappings inside one another; a world needs six."""
-MOST_VALUES = 5_000_000
+MOST_VALUES = 120_000
 """Values that a file may hold after its aliases are replaced by what they stand for."""
-LARGEST_FILE = 64 * 2**20
+LONGEST_COLLECTION = MOST_OBSTACLES
+"""Entries of one list, and keys of one mapping."""
+LARGEST_FILE = 16 * 2**20
 """Bytes."""
+_MOST_EVENTS = 60_000
+"""Of YAML: those that are looked at a second time to underline what is told, of which more would take too long."""
+LONGEST_KEY = 500
+"""Letters."""
 
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
@@ -255,7 +262,7 @@ def text_lines(text: str) -> list[str]:
 class _Extents:
     """Where the keys and values of a text end; worked out only for what an author is told of."""
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, last_line: int) -> None:
         self._lines = text_lines(text)
         self._scalars: dict[tuple[int, int], tuple[int, int]] = {}
         self._collections: dict[tuple[int, int], tuple[int, int]] = {}
@@ -264,8 +271,10 @@ class _Extents:
         open_marks: list[Any] = []
         with contextlib.suppress(yaml.YAMLError):
             events: Iterable[Any] = yaml.parse(text, Loader=_Loader)
-            for event in events:
+            for event in itertools.islice(events, _MOST_EVENTS):
                 start, end = event.start_mark, event.end_mark
+                if start.line > last_line:  # and nothing is asked for that is beyond
+                    break
                 if isinstance(event, yaml.CollectionStartEvent):
                     open_marks.append((start, event.flow_style))
                     if len(open_marks) > DEEPEST_NESTING + 1:  # read no further than the reader of values has
@@ -309,6 +318,7 @@ class _Document:
         """What each anchor stands for, and of how many values that consists."""
         self._open_anchors: set[str] = set()
         self._count = 0
+        self._is_excessive = False
         self._path: list[str | int] = []
         try:
             self._events: Iterator[Any] = iter(yaml.parse(text, Loader=_Loader))
@@ -321,6 +331,12 @@ class _Document:
         told = (self._located(problem) for problem in problems if problem.where not in self._blank)
         by_place = {located[:3]: located for located in [*told, *self.problems]}
         located = [by_place[place] for place in sorted(by_place)]
+        if len(located) > MOST_TOLD:
+            rest = f"{len(located) - MOST_TOLD} more mistakes are not told; put these right first"
+            located = [*located[:MOST_TOLD], _Located(*located[MOST_TOLD][:2], rest)]
+        self._refuse(located)
+
+    def _refuse(self, located: Sequence[_Located]) -> NoReturn:
         sentences = [f"{self._source}:{one.line}:{one.column}: {one.text}" for one in located]
         raise WorldError(sentences, self._findings(located, "error"))
 
@@ -329,7 +345,11 @@ class _Document:
         return self._findings(sorted(map(self._located, problems)), severity)
 
     def _findings(self, located: Sequence[_Located], severity: Literal["error", "warning"]) -> list[Finding]:
-        extents = _Extents(self._text)
+        if not located:
+            return []
+        # What is excessive is not read a second time for the sake of an underline.
+        text, last_line = ("", 0) if self._is_excessive else (self._text, max(one.line for one in located))
+        extents = _Extents(text, last_line)
         return [
             Finding(one.line, one.column, extents.end_column(one), one.text, severity, one.where) for one in located
         ]
@@ -365,7 +385,7 @@ class _Document:
     def _read(self, event: Any) -> object:
         self._count += 1
         if self._count > MOST_VALUES:
-            self._fail(event, f"the file holds more than {MOST_VALUES} values; split it into several worlds")
+            self._fail_on_excess(event, f"the file holds more than {MOST_VALUES} values; split it into several worlds")
         if isinstance(event, yaml.AliasEvent):
             return self._read_alias(event)
         if event.anchor is None:
@@ -379,9 +399,12 @@ class _Document:
 
     def _read_alias(self, event: Any) -> object:
         if event.anchor in self._open_anchors:
-            self._fail(event, f"'*{event.anchor}' stands inside the very thing that it stands for; write it out")
+            self._fail(
+                event, f"'*{_short(event.anchor)}' stands inside the very thing that it stands for; write it out"
+            )
         if event.anchor not in self._anchors:
-            self._fail(event, f"'*{event.anchor}' stands for nothing; mark a value before it with '&{event.anchor}'")
+            anchor = _short(event.anchor)
+            self._fail(event, f"'*{anchor}' stands for nothing; mark a value before it with '&{anchor}'")
         value, size = self._anchors[event.anchor]
         self._count += size
         return value
@@ -402,6 +425,8 @@ class _Document:
         while not isinstance(event := next(self._events), yaml.SequenceEndEvent):
             marks.append(event.start_mark)
             self._path.append(len(values))
+            if len(values) == LONGEST_COLLECTION:
+                self._fail_on_excess(event, f"a list holds at most {LONGEST_COLLECTION} entries; leave some out")
             values.append(self._read(event))
             self._path.pop()
         return values
@@ -410,9 +435,13 @@ class _Document:
         values: dict[str, object] = {}
         marks = self._marks[id(values)] = {}
         merges: list[tuple[Any, object]] = []
+        count = 0
         while not isinstance(event := next(self._events), yaml.MappingEndEvent):
             key, value_event = self._read_key(event), next(self._events)
             self._path.append(key)
+            count += 1
+            if count > LONGEST_COLLECTION:
+                self._fail_on_excess(event, f"is one more than the {LONGEST_COLLECTION} keys that may be in one place")
             value = self._read(value_event)
             if value is None and _is_blank(value_event):
                 self._report(event, "has no value; write one after the colon, or leave the key out")
@@ -438,6 +467,8 @@ class _Document:
             key = event.value
         if not isinstance(key, str):
             self._fail(event, "a key must be a word; put quotes around a key, and braces around settings")
+        if len(key) > LONGEST_KEY:
+            self._fail(event, f"a key has at most {LONGEST_KEY} letters, not {len(key)}; shorten it")
         return key
 
     def _merge(self, event: Any, source: object, values: dict[str, object], marks: dict[str, Any]) -> None:
@@ -460,7 +491,7 @@ class _Document:
         return self._refuse_tag(event)
 
     def _refuse_tag(self, event: Any) -> NoReturn:
-        tag = event.tag.replace(_TAG, "!!")
+        tag = _short(event.tag.replace(_TAG, "!!"))
         self._fail(
             event, f"the tag '{tag}' is not read in a world file; write plain numbers, words, lists and mappings"
         )
@@ -468,12 +499,20 @@ class _Document:
     def _report(self, event: Any, text: str) -> None:
         mark = event.start_mark
         where = tuple(self._path)
+        if len(self.problems) == MOST_TOLD:
+            rest = "what follows is not read; put the mistakes before it right first"
+            self._is_excessive = True
+            self._refuse([*sorted(self.problems), _Located(mark.line + 1, mark.column + 1, rest)])
         self.problems.append(_Located(mark.line + 1, mark.column + 1, str(Problem(where, text)), where))
 
     def _fail(self, event: Any, text: str) -> NoReturn:
         """Ends the reading: what follows cannot be understood."""
         self._report(event, text)
         self.refuse([])
+
+    def _fail_on_excess(self, event: Any, text: str) -> NoReturn:
+        self._is_excessive = True
+        self._fail(event, text)
 
     def _fail_on_syntax(self, error: yaml.YAMLError) -> NoReturn:
         line, column, found = 1, 1, str(getattr(error, "reason", error))
@@ -488,6 +527,10 @@ class _Document:
         remedy = "check the brackets, quotes, colons and indentation before this place"
         self.problems.append(_Located(line, column, f"not YAML: {found}; {remedy}"))
         self.refuse([])
+
+
+def _short(text: str) -> str:
+    return text if len(text) <= 40 else f"{text[:40]}…"
 
 
 def _is_blank(event: Any) -> bool:

@@ -24,6 +24,8 @@ PREFIX = "generate:"
 """What a source of generated rooms begins with."""
 MOST_ROOMS = 100_000
 """That one source may stand for."""
+LONGEST_SOURCE = 200
+"""Characters of a source of generated rooms."""
 TRAINING_SEED = 1000
 """Where the seeds of rooms to train in begin, unless a source names its ``seed``: the run's own seed is added to it.
 Elsewhere such a source means seed 0, so that rooms to train in and rooms to evaluate in are others by default."""
@@ -62,6 +64,9 @@ def parse_source(text: str, default_seed: int = 0) -> GeneratedRooms:
     >>> parse_source("generate:clutter,density=0.3,count=200").count
     200
     """
+    if len(text) > LONGEST_SOURCE:
+        shown, limit = f"{text[:60]}…", f"at most {LONGEST_SOURCE} characters long, not {len(text)}"
+        raise _error(shown, f"a source must be {limit}; name each setting once")
     kind, *settings = (part.strip() for part in text.removeprefix(PREFIX).split(","))
     values: dict[str, str] = {}
     for setting in settings:

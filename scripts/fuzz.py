@@ -38,8 +38,8 @@ MOST_SECONDS = 2.0
 """Of processor time that an input may take."""
 MOST_MEMORY = 2**30
 """Bytes that reading an input may add to the process."""
-SILENCE = 30.0
-"""Seconds without a sign of life after which a process counts as hung."""
+SILENCE = 120.0
+"""Seconds without a sign of life after which a process counts as hung; instrumenting takes half a minute on its own."""
 MOST_ADDRESSES = 6 * 2**30
 """Bytes of address space of a process, lest a finding take the machine down."""
 LARGEST_INPUT = 64 * 2**10
@@ -126,7 +126,6 @@ def _use_world(data: bytes, directory: Path) -> str:
     import navsim
     from navsim.check import check_text
     from navsim.diagnostics import print_reports
-    from navsim.errors import WorldError
     from navsim.show import save_plan_view
 
     report = check_text(data, "room.yaml")
@@ -139,7 +138,9 @@ def _use_world(data: bytes, directory: Path) -> str:
         simulator = navsim.Simulator(report.world, num_robots=2, seed=0)
         simulator.reset()
         simulator.step(np.full(2, 1))
-    except WorldError as error:
+    except ValueError as error:  # that no place for a random start was found, say
+        if "has no room for an episode" not in str(error):
+            raise
         return _refusal(error)
     return ""
 
@@ -375,10 +376,10 @@ def _memory() -> int:
 def work(name: str, minutes: float, seed: int, engine: str, findings: Path, directory: Path) -> None:
     """Feeds one target for some time; the other process watches."""
     resource.setrlimit(resource.RLIMIT_AS, (MOST_ADDRESSES, MOST_ADDRESSES))
-    watch = Watch(name, findings, directory)
     if engine == "atheris":
-        _work_with_atheris(watch, minutes, seed, directory)
+        _work_with_atheris(name, minutes, seed, findings, directory)
         return
+    watch = Watch(name, findings, directory)
     generator = random.Random(seed)
     corpus = list(watch.target.seeds())
     answers = {_answer_kind(watch.run(data)) for data in corpus}
@@ -397,12 +398,11 @@ def _answer_kind(answer: str | None) -> str:
     return re.sub(r"'[^']*'|[-+0-9.e]+", "#", answer or "")[:80]
 
 
-def _work_with_atheris(watch: Watch, minutes: float, seed: int, directory: Path) -> None:
+def _work_with_atheris(name: str, minutes: float, seed: int, findings: Path, directory: Path) -> None:
     import atheris
 
-    with atheris.instrument_imports(include=list(watch.target.packages)):
-        for package in watch.target.packages:
-            __import__(package)
+    with atheris.instrument_imports(include=list(TARGETS[name].packages)):
+        watch = Watch(name, findings, directory)  # nothing may be imported before, or it stays without instruments
     corpus = directory / "corpus"
     corpus.mkdir(exist_ok=True)
     seeds = list(watch.target.seeds())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import warnings
 
 import numpy as np
@@ -12,8 +13,11 @@ from PIL import Image
 from navsim.convert.errors import ConversionError
 from navsim.convert.textfile import read_bytes
 
-MOST_PIXELS = 36_000_000
-"""Of a map: 6000 by 6000."""
+MOST_PIXELS = 16_000_000
+"""Of a map: 4000 by 4000."""
+LONGEST_HEADER = 4096
+"""Bytes of a PGM's header, comments included: Pillow reads it byte by byte."""
+_PNM_HEADER = re.compile(rb"P[1-7f](?:\s+|#[^\r\n]*[\r\n])*\d+(?:\s+|#[^\r\n]*[\r\n])*\d+")
 
 
 def read_image(path: str | os.PathLike[str]) -> tuple[np.ndarray, np.ndarray | None]:
@@ -23,6 +27,9 @@ def read_image(path: str | os.PathLike[str]) -> tuple[np.ndarray, np.ndarray | N
         ConversionError: when it cannot be read, or is excessive.
     """
     content, file = read_bytes(path), str(path)
+    if content[:1] == b"P" and not _PNM_HEADER.match(content[:LONGEST_HEADER]):
+        text = f"says no width and height within its first {LONGEST_HEADER} bytes; save it as PGM or PNG once more"
+        raise ConversionError(file, 0, text)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -46,5 +53,8 @@ def _brightness(image: Image.Image) -> tuple[np.ndarray, np.ndarray | None]:
         values = np.asarray(image, dtype=np.float64)
         largest = 65535.0 if values.max(initial=0.0) > 255.0 else 255.0
         return values * (255.0 / largest), None
-    colours = np.asarray(image.convert("RGBA" if has_opacity else "RGB"), dtype=np.float64)
-    return colours[..., :3].mean(axis=2), colours[..., 3] if has_opacity else None
+    if image.mode in ("1", "L") and not has_opacity:  # of three equal colours the mean is each
+        return np.asarray(image.convert("L"), dtype=np.float64), None
+    colours = np.asarray(image.convert("RGBA" if has_opacity else "RGB"))
+    opacity = colours[..., 3].astype(np.float64) if has_opacity else None
+    return colours[..., :3].sum(axis=2, dtype=np.float64) / 3.0, opacity

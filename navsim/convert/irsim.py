@@ -15,16 +15,16 @@ from pathlib import Path
 import numpy as np
 
 from navsim.convert.images import read_image
-from navsim.convert.raster import fill_pockets, outlines
+from navsim.convert.raster import IntricateError, check_borders, fill_pockets, outlines
 from navsim.convert.scene import Place, Room, Scene, Solid, world_of
 from navsim.convert.yamlfile import Node, read_yaml
 from navsim.robot import TURTLEBOT2
-from navsim.world import Walls, World
+from navsim.world import MOST_PLACES, Walls, World
 
 LINE_THICKNESS = 0.02
 """Metres: what lines become, which have none."""
 MOST_OBJECTS = 10_000
-"""Obstacles of one entry."""
+"""Obstacles or robots of one entry."""
 
 Pose = tuple[float, float, float]
 _NO_POSE: Pose = (0.0, 0.0, 0.0)
@@ -89,12 +89,17 @@ class _Reader:
             raise step.error(f"must be at least 1, not {every}")
         occupied = (brightness < 127.5)[::-1][::every, ::every]
         cell = np.array([self._width / occupied.shape[1], self._depth / occupied.shape[0]])
-        occupied, filled = fill_pockets(occupied, TURTLEBOT2.radius / cell.min())
+        try:
+            check_borders(occupied)
+            occupied, filled = fill_pockets(occupied, TURTLEBOT2.radius / cell.min())
+            found = list(outlines(occupied, 0.75))
+        except IntricateError as error:
+            raise image.error(f"its occupied cells {error}") from None
         if filled:
             self._notes.append(
                 f"{filled} pockets of the obstacle map, walled in and too small for the robot, are filled"
             )
-        for number, outline in enumerate(outlines(occupied, 0.75), start=1):
+        for number, outline in enumerate(found, start=1):
             points = tuple((float(x), float(y)) for x, y in outline * cell + self._offset)
             self.scene.add(Solid(f"patch {number}", "polygon", 0.0, self._height, points=points))
 
@@ -127,6 +132,10 @@ class _Reader:
             for x, y in goals:
                 if Place(x, y) not in self.scene.goals:
                     self.scene.goals.append(Place(x, y))
+            for key, places in (("state", self.scene.starts), ("goal", self.scene.goals)):
+                if len(places) > MOST_PLACES:
+                    where = entry.get(key) or entry
+                    raise where.error(f"robots have more than {MOST_PLACES} different {key}s; leave some robots out")
 
     def _states(self, entry: Node, label: str) -> Iterator[tuple[Pose, list[tuple[float, float]], int]]:
         """State, goals and number of the objects of an entry; none of those that IR-SIM draws at random."""

@@ -7,8 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from navsim.convert.errors import ConversionError
 from navsim.convert.textfile import read_bytes
 
+KINDS = ("dae", "glb", "obj", "off", "ply", "stl")
+"""Suffixes of what is read: no archives, which may unfold to anything."""
+LARGEST = 16 * 2**20
+"""Bytes of a mesh file."""
 INSTALL = 'pip install "navsim-rl[meshes]"'
 """What reading meshes takes."""
 
@@ -23,7 +28,7 @@ def mesh_points(path: Path, submesh: str = "") -> np.ndarray:
     As Gazebo does, COLLADA's unit is heeded, and its ``up_axis`` is not.
 
     Args:
-        path: a file of a kind that trimesh reads: .stl, .obj, .ply, .glb, .dae (with pycollada), …
+        path: a file of one of ``KINDS``; .dae takes pycollada as well.
         submesh: the only part of it that counts.
 
     Raises:
@@ -34,8 +39,12 @@ def mesh_points(path: Path, submesh: str = "") -> np.ndarray:
     except ImportError:
         raise MeshError(f"and reading meshes takes trimesh ({INSTALL})") from None
     kind = path.suffix.lower().lstrip(".")
+    if kind not in KINDS:
+        raise MeshError(f"and meshes of the kind .{kind} are not read ({', '.join(KINDS)} are)")
     try:
-        content = read_bytes(path)
+        content = read_bytes(path, LARGEST)
+        if kind == "dae" and (b"<!DOCTYPE" in content or b"<!ENTITY" in content):
+            raise MeshError("and its file holds a document type, which is not read")
         scene = trimesh.load_scene(io.BytesIO(content), file_type=kind)
         if submesh:
             named = {name: scene.geometry[name] for name in scene.geometry if submesh in name}
@@ -46,6 +55,8 @@ def mesh_points(path: Path, submesh: str = "") -> np.ndarray:
         points *= _metres(scene.units)
     except MeshError:
         raise
+    except ConversionError as error:
+        raise MeshError(f"and {error}") from None
     except Exception as error:  # mesh files can be broken in more ways than there are kinds of exceptions
         needs = f"; .dae files need pycollada as well: {INSTALL}" if kind == "dae" else ""
         raise MeshError(f"and {path.name} cannot be read ({type(error).__name__}{needs})") from None

@@ -8,6 +8,7 @@ http://sdformat.org/tutorials?tut=pose_frame_semantics
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -91,11 +92,20 @@ class Scope:
     merged: list[tuple[Scope, _Frame, str]] = field(default_factory=list)
     """Included models whose content counts as this model's own."""
     _open: set[str] = field(default_factory=set)
+    _twins: Counter[str] = field(default_factory=Counter)
     _known: dict[str, np.ndarray] = field(default_factory=dict)
 
     def declare(self, element: Element, default: str = _OWN) -> None:
         """A link, joint or frame."""
         self.frames[element.name] = _Frame(element.first("pose"), default, element)
+
+    def free_label(self, name: str) -> str:
+        """``name``, or for one that a nested model has already, one that none has."""
+        label = name
+        while label in self.models:
+            self._twins[name] += 1
+            label = f"{name}'{self._twins[name]}"
+        return label
 
     def pose(self, element: Element | None, default: str = _OWN, origin: Element | None = None) -> np.ndarray:
         """``(4, 4)``: what a ``<pose>`` says, relative to the scope's origin.

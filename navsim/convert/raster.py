@@ -15,8 +15,17 @@ from scipy import ndimage
 
 from navsim.polygon import crossing_edges, signed_area
 from navsim.prism import Prism
+from navsim.world import MOST_CORNERS as MOST_CORNERS_OF_A_POLYGON
+
+MOST_CORNERS = 200_000
+"""Of the borders of all occupied cells of a grid: what its outlines take to be found."""
+MOST_CELLS = 30_000_000
+"""Cells that are looked at to find outlines, or six times those of the grid if that is more: those of each patch's
+bounding box, for each cut through its holes."""
 
 _STEPS = ((1, 0), (0, 1), (-1, 0), (0, -1))
+_LONGEST_RING = 4 * MOST_CORNERS_OF_A_POLYGON
+"""Corners up to which a border is worth being simplified as a whole."""
 _FEW_HOLES = 8
 """In a piece of up to so many, the largest is opened first, where the cut is shortest: that takes the fewest cuts."""
 _TOUCH = 1e-9
@@ -43,40 +52,95 @@ def fill_pockets(occupied: np.ndarray, radius: float) -> tuple[np.ndarray, int]:
     return occupied | narrow[free][1:-1, 1:-1], int(narrow.sum())
 
 
+class IntricateError(ValueError):
+    """Cells whose outlines take too long to be found; the message says how many, to be read after "its cells"."""
+
+
+class _Work:
+    """Counts the cells that are looked at."""
+
+    def __init__(self, occupied: np.ndarray) -> None:
+        self._left = max(MOST_CELLS, 6 * occupied.size)
+
+    def on(self, cells: np.ndarray) -> None:
+        self._left -= cells.size
+        if self._left < 0:
+            raise IntricateError("wind round one another too often; clear the map up, or scale it down")
+
+
+def count_corners(occupied: np.ndarray) -> int:
+    """Corners of the borders between occupied cells ``(H, W)`` and free ones; where two cells touch, two."""
+    padded = np.pad(occupied, 1)
+    a, b, c, d = padded[:-1, :-1], padded[:-1, 1:], padded[1:, :-1], padded[1:, 1:]
+    odd = a ^ b ^ c ^ d
+    touching = (a == d) & (b == c) & (a != b)
+    return int(np.count_nonzero(odd)) + 2 * int(np.count_nonzero(touching))
+
+
+def check_borders(occupied: np.ndarray) -> None:
+    """Raises :class:`IntricateError` for cells ``(H, W)`` whose borders have more than ``MOST_CORNERS`` corners."""
+    corners = count_corners(occupied)
+    if corners > MOST_CORNERS:
+        raise IntricateError(
+            f"have borders of {corners} corners, more than {MOST_CORNERS}; clear the map of speckles, or scale it down"
+        )
+
+
 def outlines(occupied: np.ndarray, tolerance: float = 0.0) -> Iterator[np.ndarray]:
     """Simple polygons, counter-clockwise, whose union is the occupied cells: each ``(V, 2)``, x and y in cells.
 
     Args:
         occupied: ``(H, W)`` bool; row 0 is the one with the least y.
         tolerance: how far a polygon's border may be from that of the cells, in cells; 0 keeps to the cells exactly.
+
+    Raises:
+        IntricateError: when more than ``MOST_CELLS`` would have to be looked at.
     """
-    padded = np.pad(occupied, 1)
-    for piece, offset in _pieces(occupied):
-        height, width = piece.shape
-        if piece.all():
-            yield np.array([[0, 0], [width, 0], [width, height], [0, height]]) + offset
-            continue
-        x, y = offset.tolist()
-        ring, shared = _ring(piece, padded[y : y + height + 2, x : x + width + 2])
-        yield _simplified(ring, shared, tolerance) + offset
+    padded, work = np.pad(occupied, 1), _Work(occupied)
+    waiting = [(occupied, np.zeros(2, dtype=np.intp))]
+    while waiting:
+        mask, corner = waiting.pop()
+        for piece, inside in _pieces(mask, work):
+            work.on(piece)
+            offset = corner + inside
+            height, width = piece.shape
+            if piece.all():
+                yield np.array([[0, 0], [width, 0], [width, height], [0, height]]) + offset
+                continue
+            if count_corners(piece) <= _LONGEST_RING:
+                x, y = offset.tolist()
+                ring, shared = _ring(piece, padded[y : y + height + 2, x : x + width + 2])
+                outline = _simplified(ring, shared, tolerance)
+                if len(outline) <= MOST_CORNERS_OF_A_POLYGON:
+                    yield outline + offset
+                    continue
+            axis = int(np.argmax(piece.shape))
+            waiting += _halves(piece, axis, piece.shape[axis] // 2, offset)
 
 
-def _pieces(occupied: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _halves(mask: np.ndarray, axis: int, at: int, corner: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """What lies before and behind index ``at`` of an axis, each with its corner."""
+    behind = np.array([0, at] if axis == 0 else [at, 0])
+    first, second = np.split(mask, [at], axis=axis)
+    return [(first, corner), (second, corner + behind)]
+
+
+def _pieces(occupied: np.ndarray, work: _Work) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """4-connected pieces without holes: mask ``(h, w)`` and the x and y of its corner ``(2,)``, cells."""
     waiting = [(occupied, np.zeros(2, dtype=np.intp))]
     while waiting:
         mask, corner = waiting.pop()
+        work.on(mask)
         labels, _ = ndimage.label(mask)
         for number, box in enumerate(ndimage.find_objects(labels), start=1):
             piece = labels[box] == number
+            work.on(piece)
             offset = corner + np.array([box[1].start, box[0].start])
             cut = _cut_through_a_hole(piece)
             if cut is None:
                 yield piece, offset
                 continue
-            axis, at = cut
-            for part, start in zip(np.split(piece, [at], axis=axis), (0, at), strict=True):
-                waiting.append((part, offset + np.array([0, start] if axis == 0 else [start, 0])))
+            waiting += _halves(piece, *cut, offset)
 
 
 def _cut_through_a_hole(piece: np.ndarray) -> tuple[int, int] | None:
@@ -117,10 +181,10 @@ def _ring(piece: np.ndarray, around: np.ndarray) -> tuple[np.ndarray, np.ndarray
         corners ``(V, 2)``, cells, and whether another piece is beyond the edge that begins at each ``(V,)``.
     """
     padded = np.pad(piece, 1)
-    width = piece.shape[1]
-    inner = padded[1:-1, 1:-1]
-    span = width + 1
-    following: dict[int, tuple[int, int, bool]] = {}
+    span = piece.shape[1] + 1
+    # By the place of a cell's corner: 0, or 1 + 2 * way + shared of the edge that begins there, and that ends there.
+    leaving = np.zeros((piece.shape[0] + 1) * span, dtype=np.int8)
+    arriving = np.zeros_like(leaving)
     # Bottom edges lead right, right edges up, top edges left, left edges down: the piece is on their left.
     for way, (rows, columns), (from_x, from_y) in (
         (0, (slice(0, -2), slice(1, -1)), (0, 0)),
@@ -128,29 +192,25 @@ def _ring(piece: np.ndarray, around: np.ndarray) -> tuple[np.ndarray, np.ndarray
         (2, (slice(2, None), slice(1, -1)), (1, 1)),
         (3, (slice(1, -1), slice(0, -2)), (0, 1)),
     ):
-        border = inner & ~padded[rows, columns]
-        cell_y, cell_x = np.nonzero(border)
-        shared = around[rows, columns][cell_y, cell_x]
-        step = _STEPS[way][0] + span * _STEPS[way][1]
+        cell_y, cell_x = np.nonzero(piece & ~padded[rows, columns])
+        kind = 1 + 2 * way + around[rows, columns][cell_y, cell_x]
         begin = (cell_y + from_y) * span + cell_x + from_x
-        following.update(
-            zip(begin.tolist(), zip((begin + step).tolist(), [way] * len(begin), shared.tolist(), strict=True),
-                strict=True)
-        )  # fmt: skip
-    first = min(following)
-    corners: list[int] = []
-    kinds: list[bool] = []
-    at, before = first, (-1, False)
-    while True:
-        to, way, shared_edge = following[at]
-        if (way, shared_edge) != before:
-            corners.append(at)
-            kinds.append(shared_edge)
-        before, at = (way, shared_edge), to
-        if at == first:
-            break
-    ring = np.array(corners)
-    return np.column_stack([ring % span, ring // span]), np.array(kinds)
+        leaving[begin] = kind
+        arriving[begin + _STEPS[way][0] + span * _STEPS[way][1]] = kind
+    # Without holes no cells of a piece touch at a corner only, so the border passes every place once at most: from a
+    # corner, it leads to the next one in its row or column.
+    corners = np.flatnonzero(leaving != arriving)
+    index = np.arange(len(corners))
+    by_column = np.argsort(corners % span, kind="stable")
+    rank = np.argsort(by_column)
+    ways, shared = np.divmod(leaving[corners] - 1, 2)
+    neighbours = [np.roll(index, -1), by_column[(rank + 1) % len(rank)], np.roll(index, 1), by_column[rank - 1]]
+    following = np.choose(ways, neighbours).tolist()
+    order = [0]
+    while following[order[-1]]:
+        order.append(following[order[-1]])
+    ring = corners[order]
+    return np.column_stack([ring % span, ring // span]), shared[order].astype(bool)
 
 
 def _simplified(ring: np.ndarray, shared: np.ndarray, tolerance: float) -> np.ndarray:

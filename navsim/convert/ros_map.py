@@ -14,7 +14,7 @@ import numpy as np
 
 from navsim.convert.errors import ConversionError
 from navsim.convert.images import read_image
-from navsim.convert.raster import fill_pockets, occupied_cells, outlines
+from navsim.convert.raster import IntricateError, check_borders, fill_pockets, occupied_cells, outlines
 from navsim.convert.scene import Room, Scene, Solid, world_of
 from navsim.convert.textfile import replacing, write_text
 from navsim.convert.yamlfile import Node, read_yaml
@@ -94,7 +94,13 @@ def read_ros_map(
         occupied, corner = occupied[rim:-rim, rim:-rim], corner + rim
         scene.walls = Walls(height=wall_height, thickness=rim * resolution)
         notes.append(f"a rim of {rim} occupied cells became the walls of the room")
-    occupied, filled = fill_pockets(occupied, TURTLEBOT2.radius / resolution)
+    in_cells = TOLERANCE if tolerance is None else tolerance / resolution
+    try:
+        check_borders(occupied)
+        occupied, filled = fill_pockets(occupied, TURTLEBOT2.radius / resolution)
+        found = list(outlines(occupied, in_cells))
+    except IntricateError as error:
+        raise image.error(f"its occupied cells {error}") from None
     if filled:
         notes.append(f"{filled} pockets of free cells, walled in and too small for the robot, are filled")
     height, width = occupied.shape
@@ -109,8 +115,7 @@ def read_ros_map(
         notes.append(
             f"the map is turned by {math.degrees(yaw):.4g} degrees: the room is the upright rectangle around it"
         )
-    in_cells = TOLERANCE if tolerance is None else tolerance / resolution
-    for number, outline in enumerate(outlines(occupied, in_cells), start=1):
+    for number, outline in enumerate(found, start=1):
         scene.add(_solid(f"patch {number}", in_metres(outline), wall_height))
     if len(scene.solids):
         notes.append(f"all {len(scene.solids)} obstacles are {wall_height:g} m high; a map tells no heights")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple
 
@@ -17,7 +18,16 @@ import numpy as np
 from navsim.convert.errors import ConversionError
 from navsim.errors import Problem
 from navsim.polygon import convex_pieces, crossing_edges, signed_area
-from navsim.world import LARGEST_LENGTH, SMALLEST_LENGTH, Walls, World, parse_world
+from navsim.world import (
+    LARGEST_LENGTH,
+    MOST_CORNERS,
+    MOST_CORNERS_IN_ALL,
+    MOST_OBSTACLES,
+    SMALLEST_LENGTH,
+    Walls,
+    World,
+    parse_world,
+)
 
 DIGITS = 6
 """Decimals of imported lengths in metres, and of yaws in degrees: a micrometre."""
@@ -25,8 +35,12 @@ SAME = 5e-4
 """Metres within which walls count as flush, of the same height and of the same thickness."""
 _OPTIONAL = ("motion", "pushable")
 """Settings that an obstacle can do without."""
-MOST_SOLIDS = 100_000
+MOST_SOLIDS = MOST_OBSTACLES
 """Obstacles of one imported file."""
+MOST_CUT = 50_000
+"""Corners of all outlines that are cut off at the border of the room."""
+MOST_POINTS = 2 * MOST_CORNERS_IN_ALL
+"""Corners of all outlines of one imported file, those that will be left out included."""
 
 
 @dataclass(frozen=True)
@@ -89,19 +103,23 @@ class Solid:
     mass: float | None = None
     """Of what can be pushed, kilograms."""
 
-    def corners(self) -> np.ndarray:
-        """``(V, 2)``: the footprint's corners, or those of a cylinder's bounding square; metres."""
+    def corners(self) -> Sequence[tuple[float, float]]:
+        """The footprint's corners, or those of a cylinder's bounding square, metres."""
         if self.kind == "polygon":
-            return np.array(self.points)
-        half = np.array([self.radius, self.radius]) if self.kind == "cylinder" else 0.5 * np.array(self.size)
-        square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * half
-        yaw = 0.0 if self.kind == "cylinder" else self.yaw
-        turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
-        return square @ turn + np.array(self.centre)
+            return self.points
+        x, y = self.centre
+        if self.kind == "cylinder":
+            along, across = (self.radius, 0.0), (0.0, self.radius)
+        else:
+            cos, sin = 0.5 * math.cos(self.yaw), 0.5 * math.sin(self.yaw)
+            along, across = (self.size[0] * cos, self.size[0] * sin), (-self.size[1] * sin, self.size[1] * cos)
+        signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+        return [(x + a * along[0] + b * across[0], y + a * along[1] + b * across[1]) for a, b in signs]
 
-    def key_points(self) -> np.ndarray:
-        """``(K, 2)``: the points that a world file wants inside the room."""
-        return np.array(self.points if self.kind == "polygon" else [self.centre])
+    def stands_in(self, low: Sequence[float], high: Sequence[float]) -> bool:
+        """Whether all points that a world file wants inside the room are between two corners of a rectangle."""
+        points = self.points if self.kind == "polygon" else [self.centre]
+        return all(low[0] <= x <= high[0] and low[1] <= y <= high[1] for x, y in points)
 
 
 @dataclass
@@ -126,6 +144,8 @@ class Scene:
     """What stands around the room, if the file says."""
     built: Walls = field(default_factory=Walls)
     """The walls to build around a room without any."""
+    corners: int = 0
+    """Of all outlines together."""
 
     def add(self, solid: Solid) -> None:
         """Takes up a solid.
@@ -135,6 +155,9 @@ class Scene:
         """
         if len(self.solids) >= MOST_SOLIDS:
             raise ConversionError(self.source, 0, f"holds more than {MOST_SOLIDS} obstacles; split it")
+        self.corners += len(solid.points)
+        if self.corners > MOST_POINTS:
+            raise ConversionError(self.source, 0, f"holds outlines of more than {MOST_POINTS} corners; split it")
         self.solids.append(solid)
 
 
@@ -199,11 +222,20 @@ def data_of(scene: Scene, room: Room) -> tuple[dict[str, Any], list[str]]:
     size = [_rounded(2.0 * half[0]), _rounded(2.0 * half[1])]
     half = 0.5 * np.array(size)
     inside: list[dict[str, Any]] = []
+    least, most = (centre - half - 10.0**-DIGITS).tolist(), (centre + half + 10.0**-DIGITS).tolist()
+    cut = 0
     for solid in solids:
-        if (np.abs(solid.key_points() - centre) <= half + 10.0**-DIGITS).all():
+        if solid.stands_in(least, most):
             inside.append(_obstacle(solid, centre, half))
             continue
-        pieces = [] if solid.motion else _cut_to(solid, centre - half, centre + half)
+        pieces: list[Solid] = []
+        if not solid.motion and _reaches_into(solid, centre - half, centre + half):
+            outline = _outline(solid)
+            cut += len(outline)
+            if cut > MOST_CUT:
+                text = f"outlines of more than {MOST_CUT} corners reach out of the room; make it larger with --size"
+                raise ConversionError(scene.source, 0, text)
+            pieces = _cut_to(solid, outline, centre - half, centre + half)
         inside += [_obstacle(piece, centre, half) for piece in pieces]
         what = "reaches out of the room and is cut off there" if pieces else "stands outside the room and is left out"
         notes.append(f"'{solid.name}' {what}; --size or --margin make the room larger")
@@ -243,13 +275,15 @@ def _sound(solids: list[Solid], notes: list[str]) -> list[Solid]:
 def _flaw(solid: Solid) -> str:
     """Why a world file cannot hold ``solid``; empty when it can."""
     lengths = {"box": solid.size, "cylinder": (solid.radius,), "polygon": ()}[solid.kind]
-    values = [*lengths, *solid.corners().ravel().tolist(), solid.base, solid.top]
+    values = [*lengths, *itertools.chain(*solid.corners()), solid.base, solid.top]
     if not all(math.isfinite(value) and abs(value) <= LARGEST_LENGTH for value in values):
         return f"is larger or farther away than {LARGEST_LENGTH:g} m"
     if any(length < 10.0**-DIGITS for length in (*lengths, solid.top - solid.base)):
         return "is thinner than a micrometre"
     if solid.kind == "polygon":
         points = _without_repeats(solid.points)
+        if len(points) > MOST_CORNERS:
+            return f"has an outline of {len(points)} corners, more than {MOST_CORNERS}"
         if len(points) < 3 or abs(signed_area(points)) < 10.0**-DIGITS * 10.0**-DIGITS:
             return "has an outline without an inside"
         if crossing_edges(points) is not None:
@@ -275,7 +309,8 @@ def _above_the_floor(solids: list[Solid], floor: float, notes: list[str]) -> lis
             continue
         if base < -1e-3:
             cut.append(solid.name)
-        standing.append(replace(solid, base=base if base > 1e-9 else 0.0, top=top))
+        base = base if base > 1e-9 else 0.0
+        standing.append(solid if (base, top) == (solid.base, solid.top) else replace(solid, base=base, top=top))
     if sunk:
         notes.append(f"what lies under the floor is left out: {_listed(sunk)}")
     if cut:
@@ -307,7 +342,7 @@ def _room_around(
         lost = next((note for note in notes if "left out" in note), "")
         raise ConversionError(scene.source, 0, f"{text} ({lost})" if lost else text)
     else:
-        corners = np.concatenate([solid.corners() for solid in solids]) if solids else np.zeros((1, 2))
+        corners = np.array([corner for solid in solids for corner in solid.corners()] or [(0.0, 0.0)])
         low, high = corners.min(axis=0), corners.max(axis=0)
         if room.size is None:
             low, high = low - room.margin, high + room.margin
@@ -354,14 +389,14 @@ def _enclosure(solids: list[Solid]) -> _Enclosure | None:
     boxes = [box for box in boxes if box.motion is None]
     upright: list[tuple[Solid, np.ndarray, np.ndarray]] = []
     for box in boxes:
-        corners = box.corners()
+        corners = np.array(box.corners())
         low, high = corners.min(axis=0), corners.max(axis=0)
         if box.yaw == 0.5 * math.pi * round(box.yaw / (0.5 * math.pi)):
             upright.append((box, low, high))
     if len(upright) < 4:
         return None
     # Whatever encloses everything reaches farthest out.
-    all_corners = np.concatenate([solid.corners() for solid in solids])
+    all_corners = np.array([corner for solid in solids for corner in solid.corners()])
     outer_low, outer_high = all_corners.min(axis=0), all_corners.max(axis=0)
     candidates = [
         [entry for entry in upright if abs(entry[2][1] - outer_high[1]) <= SAME],
@@ -376,7 +411,8 @@ def _enclosure(solids: list[Solid]) -> _Enclosure | None:
         if found is None:
             continue
         rest = [solid for solid in solids if not any(solid is wall for wall in found.walls)]
-        if all(_within(solid.key_points(), found.low, found.high) for solid in rest):
+        low, high = (found.low - SAME).tolist(), (found.high + SAME).tolist()
+        if all(solid.stands_in(low, high) for solid in rest):
             return found
     return None
 
@@ -415,16 +451,12 @@ def _enclosed_by(four: tuple[Any, ...], outer_low: np.ndarray, outer_high: np.nd
     return _Enclosure((north, east, south, west), low, high, float(np.mean(heights)), t, not all(corners))
 
 
-def _within(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
-    return bool((points >= low - SAME).all() and (points <= high + SAME).all())
-
-
 def _obstacle(solid: Solid, centre: np.ndarray, half: np.ndarray) -> dict[str, Any]:
     """An entry of ``obstacles``."""
+    middle, limits = centre.tolist(), half.tolist()
 
-    def moved(point: Any) -> list[float]:
-        x, y = np.clip(np.asarray(point) - centre, -half, half)
-        return [_rounded(x), _rounded(y)]
+    def moved(point: Sequence[float]) -> list[float]:
+        return [_rounded(min(max(p - c, -h), h)) for p, c, h in zip(point, middle, limits, strict=True)]
 
     settings: dict[str, Any] = {"name": solid.name}
     if solid.kind == "polygon":
@@ -450,15 +482,27 @@ def _obstacle(solid: Solid, centre: np.ndarray, half: np.ndarray) -> dict[str, A
     return {solid.kind: settings}
 
 
-def _cut_to(solid: Solid, low: np.ndarray, high: np.ndarray) -> list[Solid]:
+def _reaches_into(solid: Solid, low: np.ndarray, high: np.ndarray) -> bool:
+    """Whether the upright rectangle around ``solid`` overlaps the one between two corners ``(2,)``."""
+    corners = np.array(solid.corners())
+    return bool((corners.min(axis=0) < high).all() and (corners.max(axis=0) > low).all())
+
+
+def _outline(solid: Solid) -> np.ndarray:
+    """``(V, 2)``: the corners of the footprint; of a cylinder, those of a polygon within ``SAME`` of it."""
+    if solid.kind != "cylinder":
+        return np.array(solid.corners())
+    count = 4 * math.ceil(0.5 * math.pi * math.sqrt(solid.radius / (2.0 * SAME)) + 2.0)
+    angles = np.arange(count) * math.tau / count
+    circle: np.ndarray = solid.centre + solid.radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    return circle
+
+
+def _cut_to(solid: Solid, outline: np.ndarray, low: np.ndarray, high: np.ndarray) -> list[Solid]:
     """The convex pieces of what ``solid`` has between two corners ``(2,)`` of a rectangle, as polygons."""
-    outline = solid.corners()
-    if solid.kind == "cylinder":
-        count = 4 * math.ceil(0.5 * math.pi * math.sqrt(solid.radius / (2.0 * SAME)) + 2.0)
-        angles = np.arange(count) * math.tau / count
-        outline = solid.centre + solid.radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    convex_outlines = [outline] if solid.kind == "cylinder" else convex_pieces(outline.tolist())
     pieces: list[Solid] = []
-    for convex in convex_pieces([(float(x), float(y)) for x, y in outline]):
+    for convex in convex_outlines:
         corners = np.array(convex)
         for axis, bound, sign in ((0, low[0], 1.0), (0, high[0], -1.0), (1, low[1], 1.0), (1, high[1], -1.0)):
             corners = _cut_at(corners, sign * (corners[:, axis] - bound)) if len(corners) else corners
@@ -472,14 +516,11 @@ def _cut_to(solid: Solid, low: np.ndarray, high: np.ndarray) -> list[Solid]:
 
 def _cut_at(corners: np.ndarray, inside: np.ndarray) -> np.ndarray:
     """A convex polygon where ``inside`` ``(V,)``, linear over the plane, is not negative (Sutherland and Hodgman)."""
-    kept = []
-    for i in range(len(corners)):
-        j = (i + 1) % len(corners)
-        if inside[i] >= 0.0:
-            kept.append(corners[i])
-        if inside[i] * inside[j] < 0.0:
-            kept.append(corners[i] + inside[i] / (inside[i] - inside[j]) * (corners[j] - corners[i]))
-    return np.array(kept).reshape(-1, 2)
+    next_inside = np.roll(inside, -1)
+    crosses = inside * next_inside < 0.0
+    share = inside / np.where(crosses, inside - next_inside, 1.0)
+    crossings = corners + share[:, None] * (np.roll(corners, -1, axis=0) - corners)
+    return np.stack([corners, crossings], axis=1)[np.column_stack([inside >= 0.0, crosses])]
 
 
 def _snapped(yaw: float, extent: float) -> float:

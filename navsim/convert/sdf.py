@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import os
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,7 +25,7 @@ from navsim.convert.poses import Scope, frame_of
 from navsim.convert.scene import Place, Room, Scene, Solid, world_of
 from navsim.convert.textfile import write_text
 from navsim.convert.upright import Standing, box_around, prism_around, upright_box, upright_cylinder, upright_polygon
-from navsim.convert.xmlfile import Element, XmlWriter, number, numbers, read_xml
+from navsim.convert.xmlfile import MOST_ELEMENTS, Element, XmlWriter, number, numbers, read_xml
 from navsim.polygon import Vertex
 from navsim.world import Box, Cylinder, Obstacle, World
 
@@ -36,6 +37,12 @@ DEEPEST_INCLUDE = 16
 """Files that include one another."""
 MOST_INCLUDES = 10_000
 """Models that one world includes, those of its models counted."""
+LONGEST_URI = 1_000
+"""Characters."""
+MOST_URIS = 2_000
+"""Different models and meshes that one world names: each is looked for in a dozen places."""
+MOST_MERGED = 100
+"""Models that one world or model includes as parts of itself."""
 HEAVIEST = 5.0
 """Kilograms up to which a body that Gazebo lets move is something for the robot to push, of 6.3 kg itself."""
 
@@ -108,7 +115,10 @@ class _Reader:
     ) -> None:
         self._finder, self._approximate, self._pushable = finder, approximate, pushable
         self._geometry_tag = "visual" if visual else "collision"
-        self._includes = 0
+        self._includes = self._elements = 0
+        self._found: dict[tuple[str, Path], Path | None] = {}
+        self._roots: dict[Path, Element] = {}
+        self._meshes: dict[tuple[Path, str], np.ndarray] = {}
         self._floors: list[float] = []
         root = _root(path)
         top = root.first("world") or next(root.all("model", "include"), None)
@@ -182,9 +192,7 @@ class _Reader:
         """Makes a model's frames known; ``placed_by`` is the model itself or the include that overrides it."""
         own_name = placed_by.words("name") if placed_by.tag == "include" else ""
         name = own_name or model.name
-        label = name
-        while label in scope.models:
-            label += "'"
+        label = scope.free_label(name)
         inner = Scope(label)
         for link in model.all("link"):
             inner.declare(link)
@@ -196,6 +204,8 @@ class _Reader:
         placement = placed_by.words("placement_frame") or model.attributes.get("placement_frame", "")
         entry = (inner, frame_of(pose, placed_by), placement)
         if placed_by.tag == "include" and placed_by.truth(placed_by.attributes.get("merge", "false")):
+            if len(scope.merged) >= MOST_MERGED:
+                raise placed_by.error(f"more than {MOST_MERGED} models are merged into one; leave some as they are")
             scope.merged.append(entry)
         else:
             scope.models[label] = entry
@@ -213,7 +223,7 @@ class _Reader:
         self._includes += 1
         if self._includes > MOST_INCLUDES:
             raise include.error(f"more than {MOST_INCLUDES} models are included; split the world")
-        file = self._finder.find(uri, files[-1])
+        file = self._find(include, uri, files[-1])
         if file is None:
             if name.lower() in _HARMLESS:
                 self._notes.append(f"included model '{uri}' is left out: it is known to hold no obstacle")
@@ -225,13 +235,28 @@ class _Reader:
             return None
         if len(files) >= DEEPEST_INCLUDE or any(file.resolve() == other.resolve() for other in files[1:]):
             raise include.error(f"'{uri}' is included by what it includes, or too deep; break the circle")
-        root = _root(file)
+        root = self._roots.get(file) or _root(file)
+        self._roots[file] = root
+        self._elements += root.count
+        if self._elements > MOST_ELEMENTS:
+            raise include.error(f"more than {MOST_ELEMENTS} elements are included in all; split the world")
         model = root.first("model")
         if model is None:
             holds = ", ".join(f"<{child.tag}>" for child in root.children[:3]) or "nothing"
             self._notes.append(f"included '{uri}' is left out: it holds {holds} instead of a <model>")
             return None
         return self._declare(model, include, scope, (*files, file), prefix, static)
+
+    def _find(self, element: Element, uri: str, beside: Path) -> Path | None:
+        """The file that ``element`` in the file ``beside`` names, if there is one on this machine."""
+        if len(uri) > LONGEST_URI:
+            raise element.error(f"a <uri> is longer than {LONGEST_URI} characters; name a model or a mesh")
+        key = uri, beside.parent
+        if key not in self._found:
+            if len(self._found) >= MOST_URIS:
+                raise element.error(f"more than {MOST_URIS} different models and meshes are named; split the world")
+            self._found[key] = self._finder.find(uri, beside)
+        return self._found[key]
 
     def _read_model(
         self, model: Element, scope: Scope, pose: np.ndarray, files: tuple[Path, ...], name: str, static: bool
@@ -255,7 +280,7 @@ class _Reader:
 
     def _keep(self, body: _Body, name: str) -> None:
         """Takes up a model's solids, named so that people find them in the file again."""
-        links, pieces = {link for _, link, _ in body.solids}, [piece for _, _, piece in body.solids]
+        links, pieces = {link for _, link, _ in body.solids}, Counter(piece for _, _, piece in body.solids)
         mass = None
         if body.movable and body.solids:
             if not self._pushable:
@@ -268,7 +293,7 @@ class _Reader:
         for solid, link, piece in body.solids:
             if len(body.solids) == 1:
                 label = name
-            elif len(links) > 1 and pieces.count(piece) > 1:
+            elif len(links) > 1 and pieces[piece] > 1:
                 label = f"{name} {link} {piece}"
             else:
                 label = f"{name} {piece}"
@@ -353,11 +378,14 @@ class _Reader:
             return np.concatenate([np.column_stack([corners, np.full(len(corners), z)]) for z in ends])
         if shape.tag == "mesh":
             uri = (shape.first("uri") or shape.child("filename")).text.strip()
-            file = self._finder.find(uri, files[-1])
+            file = self._find(shape, uri, files[-1])
             if file is None:
                 raise MeshError(f"and its file '{uri}' is not found; name its directory with --model-path")
             submesh = shape.first("submesh")
-            points = mesh_points(file, submesh.words("name") if submesh is not None else "")
+            part = submesh.words("name") if submesh is not None else ""
+            if (file, part) not in self._meshes:
+                self._meshes[file, part] = mesh_points(file, part)
+            points = self._meshes[file, part]
             if submesh is not None and submesh.flag("center"):
                 points = points - 0.5 * (points.min(axis=0) + points.max(axis=0))
             scale = shape.first("scale")

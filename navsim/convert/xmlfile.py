@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Iterator
 from xml.parsers import expat
 from xml.sax.saxutils import escape
@@ -17,6 +18,13 @@ from navsim.convert.textfile import read_bytes
 
 DEEPEST_NESTING = 100
 """Elements inside one another."""
+MOST_ELEMENTS = 200_000
+"""Of one file, and of all that one world includes, counted as often as they are included."""
+LONGEST_TAG = 4_096
+"""Bytes of an element's begin, attributes included."""
+LONGEST_WORDS = 1_000
+"""Characters of an element that holds a name."""
+_ENDLESS_TAG = re.compile(rb"<[^<>!?][^<>]{%d}" % LONGEST_TAG)
 LARGEST_NUMBER = 1e9
 """Numbers beyond it are taken for slips of the pen."""
 
@@ -24,10 +32,12 @@ LARGEST_NUMBER = 1e9
 class Element:
     """One element, with the file and line where it begins."""
 
-    __slots__ = ("attributes", "children", "file", "line", "tag", "text")
+    __slots__ = ("attributes", "children", "count", "file", "line", "tag", "text")
 
     def __init__(self, tag: str, attributes: dict[str, str], file: str, line: int) -> None:
         self.tag, self.attributes, self.file, self.line = tag, attributes, file, line
+        self.count = 0
+        """Of a root: how many elements its file has, each attribute counted as one."""
         self.text = ""
         self.children: list[Element] = []
 
@@ -56,9 +66,17 @@ class Element:
         return found
 
     def words(self, tag: str, default: str = "") -> str:
-        """The text of its first child with this tag."""
+        """The text of its first child with this tag.
+
+        Raises:
+            ConversionError: when it is longer than any name.
+        """
         found = self.first(tag)
-        return default if found is None else found.text.strip()
+        if found is None:
+            return default
+        if len(found.text) > LONGEST_WORDS:
+            raise found.error(f"<{tag}> is longer than {LONGEST_WORDS} characters; shorten it")
+        return found.text.strip()
 
     def numbers(self, count: int) -> list[float]:
         """Its text as ``count`` numbers.
@@ -129,20 +147,27 @@ def read_xml(path: str | os.PathLike[str]) -> Element:
     parser = expat.ParserCreate()
     parser.buffer_text = True
     open_elements: list[Element] = []
+    open_texts: list[list[str]] = []
     roots: list[Element] = []
+    count = 0
 
     def begin(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal count
         element = Element(tag, attributes, file, parser.CurrentLineNumber)
+        count += 1 + len(attributes)
+        if count > MOST_ELEMENTS:
+            raise element.error(f"holds more than {MOST_ELEMENTS} elements and attributes; split it")
         if len(open_elements) >= DEEPEST_NESTING:
             raise element.error(f"elements are nested more than {DEEPEST_NESTING} deep; flatten them")
         (open_elements[-1].children if open_elements else roots).append(element)
         open_elements.append(element)
+        open_texts.append([])
 
     def end(tag: str) -> None:
-        open_elements.pop()
+        open_elements.pop().text = "".join(open_texts.pop())
 
     def characters(text: str) -> None:
-        open_elements[-1].text += text
+        open_texts[-1].append(text)
 
     def doctype(*_: object) -> None:
         line = parser.CurrentLineNumber
@@ -150,6 +175,11 @@ def read_xml(path: str | os.PathLike[str]) -> Element:
 
     parser.StartElementHandler, parser.EndElementHandler = begin, end
     parser.CharacterDataHandler, parser.StartDoctypeDeclHandler = characters, doctype
+    # Expat reads a tag as a whole before it tells of any of its attributes.
+    endless = _ENDLESS_TAG.search(content)
+    if endless is not None:
+        line = content.count(b"\n", 0, endless.start()) + 1
+        raise ConversionError(file, line, f"a tag is longer than {LONGEST_TAG} bytes; leave attributes out")
     try:
         parser.Parse(content, True)
     except expat.ExpatError as error:
@@ -159,6 +189,7 @@ def read_xml(path: str | os.PathLike[str]) -> Element:
         if isinstance(error, ConversionError):
             raise
         raise ConversionError(file, 1, f"cannot be decoded ({error}); save it with UTF-8 encoding") from None
+    roots[0].count = count
     return roots[0]
 
 

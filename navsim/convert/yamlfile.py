@@ -12,8 +12,14 @@ from navsim.convert.textfile import read_bytes
 
 DEEPEST_NESTING = 50
 """Lists and mappings inside one another."""
-MOST_VALUES = 200_000
+MOST_VALUES = 100_000
 """Values, after aliases are replaced by what they stand for."""
+LARGEST_FILE = 16 * 2**20
+"""Bytes."""
+LONGEST_TEXT = 1_000
+"""Characters of a key or a value."""
+LONGEST_NUMBER = 400
+"""Characters: numbers to the base 60, as YAML 1.1 has them, take time by the square of their length."""
 
 _CORE = "tag:yaml.org,2002:"
 _TAGS = {_CORE + kind for kind in ("map", "seq", "str", "int", "float", "bool", "null", "timestamp", "merge")}
@@ -108,14 +114,17 @@ def read_yaml(path: str | os.PathLike[str]) -> Node:
     Raises:
         ConversionError: when it cannot be read, is not one plain YAML document, or is excessive.
     """
-    content, file = read_bytes(path), str(path)
+    content, file = read_bytes(path, LARGEST_FILE), str(path)
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         raise ConversionError(file, line, "is not UTF-8 text; save it with UTF-8 encoding") from None
     try:
+        _check_size(text, file)
         root = yaml.compose(text, Loader=_Loader)
+    except ConversionError:
+        raise
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         mark = getattr(error, "problem_mark", None)
         problem = getattr(error, "problem", None) or getattr(error, "reason", None) or "it cannot be parsed"
@@ -126,6 +135,29 @@ def read_yaml(path: str | os.PathLike[str]) -> Node:
     return _Reader(file).read(root, "", 0)
 
 
+def _check_size(text: str, file: str) -> None:
+    """Looks at the text without building anything: PyYAML's composer recurses in C, where depth crashes the process."""
+    depth = count = 0
+    for event in yaml.parse(text, Loader=_Loader):
+        if isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
+        elif isinstance(event, yaml.NodeEvent):
+            count += 1
+            depth += isinstance(event, yaml.CollectionStartEvent)
+            line = event.start_mark.line + 1 if event.start_mark else 1
+            _check_excess(file, line, count, depth)
+
+
+def _check_excess(file: str, line: int, count: int, depth: int) -> None:
+    if depth > DEEPEST_NESTING:
+        raise ConversionError(
+            file, line, f"lists and mappings are nested deeper than {DEEPEST_NESTING} levels; flatten them"
+        )
+    if count > MOST_VALUES:
+        text = f"the file holds more than {MOST_VALUES} values, aliases replaced by what they stand for; split it"
+        raise ConversionError(file, line, text)
+
+
 class _Reader:
     def __init__(self, file: str) -> None:
         self._file, self._count = file, 0
@@ -134,8 +166,7 @@ class _Reader:
     def read(self, node: yaml.Node, where: str, depth: int) -> Node:
         line = node.start_mark.line + 1
         self._count += 1
-        if self._count > MOST_VALUES or depth > DEEPEST_NESTING:
-            raise ConversionError(self._file, line, "holds too much in too few lines; write less of it, and flatter")
+        _check_excess(self._file, line, self._count, depth)
         if node.tag not in _TAGS:
             raise ConversionError(self._file, line, f"the tag '{node.tag[:40]}' is not read; write plain values")
         value: Any
@@ -144,10 +175,15 @@ class _Reader:
             merged: dict[str, Node] = {}
             for key, entry in node.value:
                 name = key.value if isinstance(key, yaml.ScalarNode) else ""
+                if len(name) > LONGEST_TEXT:
+                    raise ConversionError(
+                        self._file, line, f"a key is longer than {LONGEST_TEXT} characters; shorten it"
+                    )
                 read = self.read(entry, f"{where}.{name}" if where else name, depth + 1)
                 if key.tag == _CORE + "merge":
                     for source in read.entries:
-                        merged = {**(source.value if isinstance(source.value, dict) else {}), **merged}
+                        for key_of_it, value_of_it in source.value.items() if isinstance(source.value, dict) else ():
+                            merged.setdefault(key_of_it, value_of_it)
                 else:
                     value[name] = read
             value = {**merged, **value}
@@ -155,12 +191,17 @@ class _Reader:
             value = [self.read(entry, f"{where}[{i}]", depth + 1) for i, entry in enumerate(node.value)]
         else:
             try:
+                if len(node.value) > LONGEST_NUMBER and node.tag != _CORE + "str":
+                    raise ValueError
                 value = self._constructor.construct_object(node)
             except (yaml.YAMLError, ValueError, OverflowError):
                 tag = f"{where}: " if where else ""
                 raise ConversionError(
                     self._file, line, f"{tag}cannot be read as a plain value; write a number or a word"
                 ) from None
+            if len(node.value) > LONGEST_TEXT:
+                text = f"is longer than {LONGEST_TEXT} characters; shorten it"
+                raise ConversionError(self._file, line, f"{where}: {text}" if where else text)
             if not isinstance(value, (bool, int, float, str, type(None))):
                 value = node.value  # a date: the text as it stands
         return Node(value, self._file, line, where)

@@ -70,6 +70,13 @@ def _obstacle_of(**settings: object) -> str:
     return ROOM + "obstacles: [{box: {" + ", ".join(f"{key}: {value}" for key, value in settings.items()) + "}}]\n"
 
 
+def _grid(side: int, entry: str = "cylinder: {{at: [{x}, {y}], radius: 0.1, height: 1}}") -> str:
+    """Obstacles in rows 2 m apart."""
+    places = ((2.0 * i - side + 1.0, 2.0 * j - side + 1.0) for i in range(side) for j in range(side))
+    entries = "".join(f"  - {entry.format(i=i, x=x, y=y)}\n" for i, (x, y) in enumerate(places))
+    return _room(2 * side, "obstacles:\n" + entries)
+
+
 WORLDS: dict[str, Callable[[], str | bytes]] = {
     "laughs": lambda: _laughs(12),
     "laughs as obstacles": lambda: (
@@ -105,6 +112,31 @@ WORLDS: dict[str, Callable[[], str | bytes]] = {
     "10^5 keys without a value": lambda: ROOM + "".join(f"k{i}:\n" for i in range(100_000)),
     "10^5 obstacles in one place": lambda: _many(100_000),
     "10^6 obstacles": lambda: _many(1_000_000),
+    "10^7 obstacles": lambda: ROOM + "obstacles: [" + "{}," * 10_000_000 + "]\n",
+    "7 * 10^6 obstacles in 16 MiB": lambda: ROOM + "obstacles: [" + "a," * 7_000_000 + "]\n",
+    "10^4 obstacles that stand apart": lambda: _grid(100),
+    "9000 obstacles with ten mistakes each": lambda: (
+        ROOM + "obstacles:\n" + "  - box: {a: 1, b: 1, c: 1, d: 1, e: 1, f: 1, g: 1, h: 1, i: 1, j: 1}\n" * 9_000
+    ),
+    "10^4 obstacles outside": lambda: _many(10_000, "cylinder: {at: [5, 1], radius: 0.1, height: 1}"),
+    "10^4 obstacles of one name": lambda: _many(10_000, "cylinder: {name: a, at: [1, 1], radius: 0.1, height: 1}"),
+    "500 starts and goals that are cut off": lambda: (
+        ROOM
+        + "obstacles: [{box: {at: [0, 0], size: [0.5, 7], height: 1}}]\nstarts: ["
+        + "[-2, 0], " * 500
+        + "]\ngoals: ["
+        + "[2, 2], " * 500
+        + "]\n"
+    ),
+    "20 polygons of 500 teeth": lambda: (
+        ROOM + "obstacles:\n" + f"  - polygon: {{points: [{_comb(499)}], height: 1}}\n" * 20
+    ),
+    "118,000 keys without values": lambda: (
+        ROOM + "starts: [" + ("{" + ", ".join(f"k{i}: " for i in range(100)) + "}, ") * 1_180 + "]\n"
+    ),
+    "118,000 unknown keys": lambda: (
+        ROOM + "starts: [" + ("{" + ", ".join(f"k{i}: 1" for i in range(100)) + "}, ") * 1_180 + "]\n"
+    ),
     "10^5 points that are the same": lambda: _polygon(", ".join(["[1, 1]"] * 100_000)),
     "10^5 corners": lambda: _polygon(_ring(100_000)),
     "2000 corners": lambda: _polygon(_ring(2000)),
@@ -121,6 +153,15 @@ WORLDS: dict[str, Callable[[], str | bytes]] = {
     "10^4 starts outside": lambda: ROOM + "starts: [" + "[9, 0], " * 10_000 + "]\n",
     "a way of 10^5 points": lambda: _obstacle_of(
         motion="{path: [[1, 1], " + "[1, 1.1], [1, 1], " * 50_000 + "], speed: 1}"
+    ),
+    "a way of 2000 points": lambda: _obstacle_of(
+        motion="{path: [[1, 1], " + "[1, 1.1], [1, 1], " * 1_000 + "], speed: 1}"
+    ),
+    "301 moving obstacles": lambda: _grid(
+        18, "cylinder: {{at: [{x}, {y}], radius: 0.1, height: 1, motion: {{path: [[1, 1], [1, 2]], speed: 1}}}}"
+    ),
+    "40 polygons of 900 corners": lambda: (
+        ROOM + "obstacles:\n" + f"  - polygon: {{points: [{_ring(900)}], height: 1}}\n" * 40
     ),
     "2000 moving obstacles": lambda: _many(
         2000, "cylinder: {at: [1, 1], radius: 0.1, height: 1, motion: {path: [[1, 1], [1, 2]], speed: 1}}"
@@ -141,7 +182,22 @@ WORLDS: dict[str, Callable[[], str | bytes]] = {
     ),
     "a world of a micrometre": lambda: _room("1e-6"),
     "a slit of 10^4 m": lambda: "format: 1\nsize: [10000, 0.36]\n",
+    "an anchor of 10^6 letters": lambda: ROOM + "name: *" + "a" * 1_000_000 + "\n",
+    "an anchor in itself of 10^6 letters": lambda: ROOM + f"starts: &{'a' * 1_000_000} [*{'a' * 1_000_000} ]\n",
+    "a tag of 10^6 letters": lambda: ROOM + "name: !" + "a" * 1_000_000 + " b\n",
+    "an explicit key of 10^6 letters": lambda: ROOM + "? " + "a" * 1_000_000 + "\n: 1\n",
+    "an explicit key of 10^6 letters in an obstacle": lambda: (
+        ROOM + "obstacles:\n  - box:\n      ? " + "a" * 1_000_000 + "\n      : 1\n"
+    ),
+    "a shape of 10^6 letters": lambda: ROOM + "obstacles:\n  - ? " + "a" * 1_000_000 + "\n    : 1\n",
+    "a height of 10^6 letters": lambda: _obstacle_of(height="a" * 1_000_000),
+    "starts of 10^6 letters": lambda: ROOM + "starts: " + "a" * 1_000_000 + "\n",
+    "a merge of 10^6 letters": lambda: ROOM + "<<: " + "a" * 1_000_000 + "\n",
+    "one word of 16 MiB": lambda: ROOM + "name: " + "a" * (16 * 2**20 - 100) + "\n",
+    "quotes of 16 MiB": lambda: ROOM + 'name: "' + r"\x41" * (4 * 2**20 - 100) + '"\n',
+    "a comment of 16 MiB": lambda: ROOM + "#" * (16 * 2**20 - 100) + "\n",
     "a million comments": lambda: ROOM + "# \n" * 1_000_000,
+    "9000 small merges": lambda: ROOM + "walls:\n  <<: [" + ", ".join(f"{{k{i}: 1}}" for i in range(9_000)) + "]\n",
     "a million anchors": lambda: ROOM + "starts: [" + "".join(f"&a{i} [0, 0], " for i in range(300_000)) + "]\n",
     "10^5 documents": lambda: ROOM + "---\n" * 100_000,
     "10^5 tags": lambda: ROOM + "%TAG ! tag:a,2002:\n" * 100_000,
@@ -153,8 +209,33 @@ WORLDS: dict[str, Callable[[], str | bytes]] = {
     "surrogates": lambda: ROOM.encode() + b"name: \xed\xa0\x80\n",
     "a quoted surrogate": lambda: ROOM + 'name: "\\ud800"\n',
     "a name in control characters": lambda: ROOM + 'name: "\\0\\e[2J\\n"\n',
-    "larger than 64 MiB": lambda: b"#" * (64 * 2**20 + 1),
+    "larger than 16 MiB": lambda: b"#" * (16 * 2**20 + 1),
 }
+
+LARGEST_WORLDS: dict[str, Callable[[], str | bytes]] = {
+    "a swing as long as it may be": lambda: (
+        _room(100) + "obstacles: [{box: {at: [6, 0], size: [12, 1], height: 1, "
+        "motion: {hinge: [0, 0], swing_deg: [-180, 180], speed_deg: 1}}}]\n"
+    ),
+    "10^4 obstacles that touch": lambda: _grid(100, "cylinder: {{at: [{x}, {y}], radius: 1.9, height: 1}}"),
+    "10^4 boxes with everything": lambda: _grid(
+        100, "box: {{name: b{i}, at: [{x}, {y}], size: [0.2, 0.2], yaw_deg: 1, base: 0.1, height: 1}}"
+    ),
+    "500 starts and goals between 10^4 obstacles": lambda: (
+        _grid(100) + "starts: [" + "[0, 0], " * 500 + "]\ngoals: [" + "[10, 2], " * 500 + "]\n"
+    ),
+    "300 pushable obstacles between many": lambda: _grid(100).replace(
+        "height: 1}", "height: 1, pushable: {mass: 1}}", 300
+    ),
+    "300 moving obstacles between many": lambda: _grid(100).replace(
+        "height: 1}", "height: 1, motion: {path: [[1, 1], [50, 50], [-50, 50], [1, 1]], speed: 1}}", 300
+    ),
+    "a swing between many": lambda: (
+        _grid(70) + "  - box: {at: [6, 0], size: [12, 1], base: 2, height: 1, "
+        "motion: {hinge: [0, 0], swing_deg: [-180, 180], speed_deg: 1}}\n"
+    ),
+}
+"""About as large as the limits allow."""
 
 SHELL = "<sdf version='1.9'><world name='w'>{}</world></sdf>"
 _ENTITIES = [f"<!ENTITY {b} '{f'&{a};' * 10}'>" for a, b in itertools.pairwise("abcdefghijkl")]
@@ -197,6 +278,7 @@ SDF: dict[str, Callable[[], str | bytes]] = {
     "many pieces of text": lambda: SHELL.format("x<a/>" * 300_000),
     "text between a million comments": lambda: SHELL.format("x<!---->" * 1_000_000),
     "a text of 10^7 letters": lambda: SHELL.format("x" * 10_000_000),
+    "10^7 models": lambda: SHELL.format("<model/>" * 10_000_000),
     "10^5 bodies": lambda: _body("".join(_CAN.format(i) for i in range(100_000))),
     "10^4 models of one name": lambda: SHELL.format("<model name='m'/>" * 10_000),
     "10^4 frames in a chain": lambda: SHELL.format(
@@ -208,14 +290,40 @@ SDF: dict[str, Callable[[], str | bytes]] = {
     "10^4 teeth": lambda: _outline(_comb(10_000)),
     "10^5 includes of nothing": lambda: SHELL.format("<include><uri>model://none</uri></include>" * 100_000),
     "10^4 includes of nothing": lambda: SHELL.format("<include><uri>model://none</uri></include>" * 9_999),
+    "10^4 includes of other things": lambda: SHELL.format(
+        "".join(f"<include><uri>model://none{i}</uri></include>" for i in range(9_999))
+    ),
+    "5000 bodies": lambda: _body("".join(_CAN.format(i) for i in range(5_000))),
+    "10^4 bodies of two links": lambda: SHELL.format(
+        "<model name='m'>"
+        + "".join(f"<link name='{a}'>{''.join(_CAN.format(i) for i in range(5_000))}</link>" for a in "ab")
+        + "</model>"
+    ),
     "a uri of 10^6 letters": lambda: SHELL.format(f"<include><uri>model://{'a/' * 500_000}</uri></include>"),
     "huge numbers": lambda: _body(_CAN.format("").replace("0.1", "1e308")),
     "10^5 digits": lambda: _body(_CAN.format("").replace("0.1", "9" * 100_000)),
+    "a frame of 10^6 letters": lambda: SHELL.format(
+        f"<model name='m'><link name='l'/><placement_frame>{'a' * 1_000_000}</placement_frame></model>"
+        f"<include><uri>model://none</uri><name>{'a' * 1_000_000}</name></include>"
+    ),
+    "a placement of 10^6 letters": lambda: SHELL.format(
+        f"<model name='m'><link name='l'/><joint name='j'><child>{'a' * 1_000_000}</child></joint>"
+        f"<model name='n'><pose relative_to='j'/></model></model>"
+    ),
     "nan": lambda: _body(_CAN.format("").replace("0.1", "nan")),
     "a room of 10^9 m": lambda: SHELL.format("<navsim:room size='1e9 1e9'/>"),
     "bytes": lambda: bytes(range(256)) * 4000,
     "UTF-16": lambda: SHELL.format("").encode("utf-16"),
     "UTF-7": lambda: "<?xml version='1.0' encoding='utf-7'?>" + SHELL.format(""),
+}
+
+LARGEST_SDF: dict[str, Callable[[], str | bytes]] = {
+    "5000 bodies that stand apart": lambda: SHELL.format(
+        "".join(
+            f"<model name='m'><pose>{i % 100} {i // 100} 0 0 0 0</pose><link name='l'>{_CAN.format('')}</link></model>"
+            for i in range(5_000)
+        )
+    ),
 }
 
 IRSIM: dict[str, Callable[[], str | bytes]] = {
@@ -232,6 +340,10 @@ IRSIM: dict[str, Callable[[], str | bytes]] = {
     "wide merges": lambda: (
         f"x: &a {{{', '.join(f'k{i}: 1' for i in range(400))}}}\n" + "y: {<<: [" + "*a, " * 400 + "]}\nworld: {}\n"
     ),
+    "one word of 16 MiB": lambda: "world: {height: 10, width: " + "a" * (16 * 2**20 - 100) + "}\n",
+    "an anchor of 10^6 letters": lambda: "world: *" + "a" * 1_000_000 + "\n",
+    "a key of 10^6 letters": lambda: "world:\n  ? " + "a" * 1_000_000 + "\n  : !x 1\n",
+    "30,000 small merges": lambda: "world:\n  <<: [" + ", ".join(f"{{k{i}: 1}}" for i in range(30_000)) + "]\n",
     "a list in itself": lambda: "world: &a [*a]\n",
     "nested lists": lambda: "world: " + "[" * 100_000,
     "nested blocks": lambda: "world:\n" + "".join(" " * i + f"a{i}:\n" for i in range(1, 2000)),
@@ -243,6 +355,8 @@ IRSIM: dict[str, Callable[[], str | bytes]] = {
     "nan": lambda: "world: {height: .nan, width: .inf}\n",
     "1e308": lambda: "world: {height: 1.0e+308, width: 10}\n",
     "a date": lambda: "world: {height: 9999-99-99, width: 10}\n",
+    "10^7 obstacles": lambda: "obstacle: [" + "{}," * 10_000_000 + "]\n",
+    "7 * 10^6 obstacles in 16 MiB": lambda: "obstacle: [" + "a," * 7_000_000 + "]\n",
     "10^9 robots": lambda: "robot: {number: 1000000000}\n",
     "10^4 robots": lambda: "robot: {number: 10000, distribution: {name: circle}}\n",
     "10^4 robots with 10^4 goals": lambda: (
@@ -255,6 +369,17 @@ IRSIM: dict[str, Callable[[], str | bytes]] = {
         "obstacle: {number: 10000, shape: {name: polygon, vertices: [" + _star(1000) + "]}}\n"
     ),
     "10^4 obstacles outside": lambda: "obstacle: {number: 10000, state: [100, 100]}\n",
+    "10^4 obstacles outside in ten entries": lambda: (
+        "obstacle:\n" + "  - {number: 1000, state: [100, 100]}\n" * 9 + "  - {number: 999, state: [100, 100]}\n"
+    ),
+    "10^3 circles that reach in": lambda: (
+        "world: {height: 10, width: 10}\n"
+        "obstacle: {number: 1000, shape: {name: circle, radius: 4000}, state: [-4000, 5]}\n"
+    ),
+    "10^4 circles that reach in": lambda: (
+        "world: {height: 10, width: 10}\n"
+        "obstacle: {number: 9999, shape: {name: circle, radius: 0.2}, state: [-0.1, 5]}\n"
+    ),
     "10^4 moving obstacles": lambda: (
         "obstacle: {number: 10000, state: [1, 1], goal: [2, 2], kinematics: {name: omni}, "
         "behavior: {name: dash, loop: true}}\n"
@@ -263,6 +388,11 @@ IRSIM: dict[str, Callable[[], str | bytes]] = {
         "obstacle: {shape: {name: linestring, vertices: [" + _star(10_000) + "]}, state: [5, 5]}\n"
     ),
     "10^5 corners": lambda: "obstacle: {shape: {name: polygon, vertices: [" + _ring(60_000) + "]}}\n",
+    "a distribution of 10^6 letters": lambda: "robot: {distribution: {name: " + "a" * 1_000_000 + "}}\n",
+    "a shape of 10^6 letters": lambda: "obstacle: {shape: {name: " + "a" * 1_000_000 + "}}\n",
+    "a name of 10^6 letters": lambda: "obstacle: {name: " + "a" * 1_000_000 + ", shape: {name: none}}\n",
+    "a map of 10^6 letters": lambda: "world: {obstacle_map: " + "a" * 1_000_000 + "}\nobstacle: {}\n",
+    "an unknown key of 10^6 letters": lambda: "? " + "a" * 1_000_000 + "\n: [.nan]\n",
     "a map that is a device": lambda: "world: {obstacle_map: /dev/zero}\nobstacle: {}\n",
 }
 
@@ -279,7 +409,7 @@ def png(width: int, height: int, data: bytes = b"") -> bytes:
 
 def _zeros(width: int, height: int) -> bytes:
     """A complete picture of one colour, which deflates to a thousandth."""
-    return png(width, height, zlib.compress(bytes((width + 1) * height), 9))
+    return png(width, height, zlib.compress(bytes((width + 1) * height), 1))
 
 
 def _text_bomb() -> bytes:
@@ -348,9 +478,15 @@ MAPS: dict[str, Callable[[], tuple[str, bytes]]] = {
     "a PNG that unfolds": lambda: (SETTINGS, _zeros(6000, 6000)),
     "a PNG that unfolds to more": lambda: (SETTINGS, _zeros(12_000, 12_000)),
     "a PNG whose comment unfolds": lambda: (SETTINGS, _text_bomb()),
-    "a PNG whose data unfolds": lambda: (SETTINGS, png(10, 10, zlib.compress(bytes(300 * 2**20), 9))),
+    "a PNG whose data unfolds": lambda: (SETTINGS, png(10, 10, zlib.compress(bytes(100 * 2**20), 1))),
     "no picture at all": lambda: (SETTINGS, b""),
     "a picture that is a device": lambda: (SETTINGS.replace("map.pgm", "/dev/zero"), b""),
+    "a large empty map": lambda: (SETTINGS, b"P5\n4000 4000\n255\n" + b"\xfe" * 16_000_000),
+    "a large full map": lambda: (SETTINGS, b"P5\n4000 4000\n255\n" + b"\0" * 16_000_000),
+    "a large map of one block": lambda: (
+        SETTINGS,
+        b"P5\n4000 4000\n255\n" + b"\xfe" * 12_000_000 + (b"\0" * 2000 + b"\xfe" * 2000) * 500 + b"\xfe" * 2_000_000,
+    ),
     "a checkerboard": lambda: (SETTINGS, _checkers(2000)),
     "a sieve": lambda: (SETTINGS, _holes(2000)),
     "noise": lambda: (SETTINGS, _noise(1500)),
@@ -358,6 +494,8 @@ MAPS: dict[str, Callable[[], tuple[str, bytes]]] = {
     "a spiral": lambda: (SETTINGS, _spiral(1500)),
     "a spiral in fine cells": lambda: (SETTINGS.replace("0.05", "0.0001"), _spiral(600)),
     "a resolution of 1e308": lambda: (SETTINGS.replace("0.05", "1.0e+308"), _checkers(10)),
+    "a picture of 10^6 letters": lambda: (SETTINGS.replace("map.pgm", "a" * 1_000_000), b""),
+    "a mode of 10^6 letters": lambda: (SETTINGS + f"mode: {'a' * 1_000_000}\n", _checkers(10)),
     "a resolution of 0": lambda: (SETTINGS.replace("0.05", "0"), _checkers(10)),
     "a resolution of nan": lambda: (SETTINGS.replace("0.05", ".nan"), _checkers(10)),
     "an origin of 1e308": lambda: (SETTINGS.replace("[0, 0, 0]", "[1.0e+308, 0, 1.0e+308]"), _checkers(10)),

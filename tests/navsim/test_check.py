@@ -236,6 +236,24 @@ def test_a_summary_counts_and_measures():
     assert set(summary.paths[2].passage.sides) == {"wall east", "cylinder 3"}
 
 
+def test_a_summary_of_very_many_paths_tells_how_many_it_leaves_out(monkeypatch):
+    monkeypatch.setattr("navsim.check.MOST_PATHS", 2)
+    report = check_text(ROOM + "starts: [[-2, 0], [-2, 1]]\ngoals: [[2, 0], [2, 1]]\n")
+    assert [(path.start, path.goal) for path in report.summary.paths] == [(0, 0), (0, 1)]
+    assert report.summary.paths_left_out == 2
+    console = Console(file=io.StringIO(), width=120, highlight=False)
+    print_reports([report], console, console)
+    assert "the first 2 of 4: " in console.file.getvalue()
+
+
+def test_very_many_oddities_are_counted():
+    inside = "  - box: {at: [0, 0], size: [1, 1], height: 1}\n" * 150
+    text = ROOM + "obstacles:\n  - box: {at: [0, 0], size: [2, 2], height: 1}\n" + inside
+    findings = check_text(text).findings
+    assert len(findings) == 101
+    assert any("50 more oddities are not told" in one.text for one in findings)
+
+
 def test_a_report_is_plain_data_for_json():
     report = check_text(RICH, "room.yaml")
     data = json.loads(json.dumps(report.to_dict(), allow_nan=False))

@@ -28,7 +28,7 @@ from navsim.draw import (
     new_figure,
     save_figure,
 )
-from navsim.world import World
+from navsim.world import Cylinder, World
 
 OBSTACLES = {
     "crate": {"box": {"name": "crate", "at": [1.0, -0.5], "size": [0.6, 0.4], "height": 0.8, "yaw_deg": 30}},
@@ -140,6 +140,16 @@ def test_walls_stand_outside_the_room_and_an_open_floor_has_none():
 def test_names_are_written_when_asked_for():
     assert "crate" not in {text.get_text() for text in plan_of(world_of("crate")).texts}
     assert "crate" in {text.get_text() for text in plan_of(world_of("crate"), names=True).texts}
+
+
+def test_only_the_largest_obstacles_are_named_where_there_are_very_many(monkeypatch):
+    monkeypatch.setattr("navsim.draw.MOST_NAMES", 3)
+    world = World(
+        size=(20, 5),
+        obstacles=[Cylinder(name=f"can{i}", at=(2.0 * i - 9, 0), radius=0.1 + 0.01 * i, height=1) for i in range(8)],
+    )
+    names = {text.get_text() for text in plan_of(world, names=True).texts}
+    assert {name for name in names if name.startswith("can")} == {"can5", "can6", "can7"}
 
 
 def test_paths_have_the_colour_of_their_outcome_and_are_counted():

@@ -169,6 +169,15 @@ def test_in_a_big_world_nothing_in_view_is_left_out(monkeypatch):
     assert through_the_grid[-1].max() == 5.0
 
 
+def test_in_a_wide_world_cells_are_larger_and_nothing_in_view_is_left_out(monkeypatch):
+    rng = np.random.default_rng(10)
+    world = World.from_dict(random_room(rng, obstacles=300, size=40.0))
+    poses = random_poses(rng, 60, (40.0, 40.0))
+    small_cells = cast(Scene([world]), np.zeros(60, dtype=np.intp), poses, SMALL)
+    monkeypatch.setattr(navsim.raycast._CellIndex, "_MOST_ENTRIES", 2_000)
+    np.testing.assert_array_equal(small_cells, cast(Scene([world]), np.zeros(60, dtype=np.intp), poses, SMALL))
+
+
 @pytest.mark.parametrize("camera", [DepthCamera(), SMALL, POINT], ids=["80x64", "33x17", "1x1"])
 @pytest.mark.parametrize("base", [0.0, EYE])
 @pytest.mark.filterwarnings("error")

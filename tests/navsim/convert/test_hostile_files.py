@@ -124,6 +124,40 @@ def test_outlines_that_no_world_can_hold_are_listed(tmp_path):
         assert part in refused(path)
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "part"),
+    [
+        ("part.zip", b"PK", "meshes of the kind .zip are not read"),
+        ("part.dae", b"<!DOCTYPE a [<!ENTITY b 'c'>]><COLLADA/>", "holds a document type, which is not read"),
+        ("part.stl", bytes(16 * 2**20 + 1), "is larger than 16 MiB"),
+        ("part.stl", b"solid", "part.stl"),
+    ],
+    ids=["an archive", "entities", "too large", "broken"],
+)
+def test_meshes_that_ask_for_much_are_left_out(tmp_path, name, content, part):
+    pytest.importorskip("trimesh")
+    (tmp_path / name).write_bytes(content)
+    path = tmp_path / "test.sdf"
+    path.write_text(MODEL.format("", f"<geometry><mesh><uri>{name}</uri></mesh></geometry>"))
+    assert part in refused(path, lambda path: load_sdf(path, approximate="convex-hull"))
+
+
+def test_models_merged_without_end_are_refused(tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "model.sdf").write_text("<sdf version='1.9'><model name='a'><link name='l'/></model></sdf>")
+    path = tmp_path / "test.sdf"
+    path.write_text(SHELL.format("<include merge='true'><uri>model://a</uri></include>\n" * 101))
+    assert "test.sdf:101: more than 100 models are merged into one" in refused(path)
+
+
+def test_models_of_one_name_are_told_apart(tmp_path):
+    body = "<link name='l'><collision name='c'><geometry><box><size>1 1 1</size></box></geometry></collision></link>"
+    path = tmp_path / "test.sdf"
+    models = [f"<model name='m'><static>true</static><pose>{2 * i} 0 0.5 0 0 0</pose>{body}</model>" for i in range(3)]
+    path.write_text(SHELL.format("".join(models)))
+    assert [obstacle.at[0] for obstacle in load_sdf(path)[0].obstacles] == [-2.0, 0.0, 2.0]
+
+
 @pytest.mark.parametrize("name", ["missing.sdf", "", "a\0b"])
 def test_a_file_that_is_not_there_is_told(tmp_path, name):
     path = tmp_path / name
@@ -175,7 +209,7 @@ def survives(read, path: Path) -> None:
     assert "\n" not in message
     assert not message or str(path.parent) in message or str(DATA) in message
     for solid in solids:
-        assert np.isfinite([solid.base, solid.top, *solid.corners().ravel()]).all()
+        assert np.isfinite([solid.base, solid.top, *np.ravel(solid.corners())]).all()
 
 
 def check_mangled_sdf(changes, directory: Path) -> None:

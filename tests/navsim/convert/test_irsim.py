@@ -131,7 +131,7 @@ def test_an_obstacle_map_is_read(tmp_path):
         ("obstacle:\n  - number: 1000000000", "number: must lie between 0 and 10000"),
         ("obstacle:\n  - distribution: {name: gauss}", "must be manual, circle or random"),
         ("world: {width: 10", "not YAML"),
-        ("world: &a {width: *a}", "holds too much"),
+        ("world: &a {width: *a}", "nested deeper than 50 levels"),
         ("world: !!python/object:os.system {}", "the tag"),
     ],
 )
@@ -142,3 +142,14 @@ def test_errors_name_file_line_and_key(tmp_path, text, part):
         load_irsim(path)
     assert part in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_only_what_reaches_into_the_room_counts_as_cut_off(tmp_path, monkeypatch):
+    monkeypatch.setattr("navsim.convert.scene.MOST_CUT", 150)  # a circle of 0.2 m has 100 corners
+    path = tmp_path / "world.yaml"
+    scene = "world: {{height: 10, width: 10}}\nobstacle: [{{number: 5, state: [{}, 5]}}, {{state: [0.1, 5]}}]\n"
+    path.write_text(scene.format(30))
+    assert len(load_irsim(path)[0].obstacles) == 1
+    path.write_text(scene.format(-0.1))
+    with pytest.raises(ConversionError, match="outlines of more than 150 corners reach out of the room"):
+        load_irsim(path)

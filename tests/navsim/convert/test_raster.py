@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -12,6 +13,7 @@ from navsim.convert import raster
 from navsim.convert.raster import fill_pockets, occupied_cells
 from navsim.polygon import crossing_edges
 from navsim.prism import Prism
+from navsim.world import MOST_CORNERS
 
 grids = st.tuples(st.integers(1, 11), st.integers(1, 11)).flatmap(lambda shape: arrays(bool, shape))
 
@@ -68,6 +70,35 @@ def test_a_ring_is_cut_so_that_no_piece_has_a_hole():
     mask[2, 2:5] = False
     assert len(outlines(mask)) == 2
     assert len(outlines(np.ones((5, 7), dtype=bool))) == 1
+
+
+def test_a_patch_with_more_corners_than_a_polygon_may_have_is_cut():
+    comb = np.zeros((4, 2400), dtype=bool)
+    comb[0], comb[:, ::2] = True, True
+    polygons = polygons_of(comb, 0.0)
+    assert max(len(polygon.exterior.coords) - 1 for polygon in polygons) <= MOST_CORNERS
+    assert sum(polygon.area for polygon in polygons) == comb.sum()
+    assert shapely.union_all(polygons).symmetric_difference(cells_of(comb)).area < 1e-9
+
+
+def test_corners_are_counted_as_outlines_have_them():
+    mask = np.random.default_rng(3).random((40, 30)) < 0.3
+    borders = shapely.union_all([shapely.box(x, y, x + 1, y + 1) for y, x in zip(*np.nonzero(mask), strict=True)])
+    rings = [ring for one in shapely.get_parts(borders) for ring in (one.exterior, *one.interiors)]
+    corners = sum(len(ring.simplify(0.0).coords) - 1 for ring in rings)
+    assert raster.count_corners(mask) == pytest.approx(corners, abs=len(rings))  # a ring may begin on a straight line
+
+
+def test_speckles_and_windings_without_end_are_refused(monkeypatch):
+    with pytest.raises(raster.IntricateError, match="borders of 320000 corners, more than 200000"):
+        raster.check_borders(np.indices((400, 400)).sum(axis=0) % 2 == 0)
+    monkeypatch.setattr(raster, "MOST_CELLS", 100)
+    rings = np.zeros((200, 200), dtype=bool)
+    for i in range(0, 100, 2):
+        rings[i : 200 - i, i : 200 - i] = True
+        rings[i + 1 : 199 - i, i + 1 : 199 - i] = False
+    with pytest.raises(raster.IntricateError, match="wind round one another"):
+        outlines(rings)
 
 
 def test_a_slanting_wall_becomes_straight():
