@@ -12,7 +12,7 @@ from navsim.convert.textfile import read_bytes
 
 DEEPEST_NESTING = 50
 """Lists and mappings inside one another."""
-MOST_VALUES = 100_000
+MOST_VALUES = 60_000
 """Values, after aliases are replaced by what they stand for."""
 LARGEST_FILE = 16 * 2**20
 """Bytes."""

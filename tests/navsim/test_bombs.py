@@ -26,6 +26,21 @@ HUNG = 60.0
 LONGEST_SENTENCE = 1_000
 """Letters."""
 
+COSTLY = {
+    *(
+        "30,000 small merges",
+        "10^4 bodies of two links",
+        "a spiral",
+        "a spiral in fine cells",
+        "20 polygons of 500 teeth",
+    ),
+    *("10^4 moving obstacles", "118,000 unknown keys", "a line of 10^4 corners", "10^4 circles that reach in"),
+    *("10^5 includes of nothing", "10^5 bodies", "5000 bodies", "a large full map", "a large empty map"),
+    *("a large map of one block", "10^4 robots with 10^4 goals", "10^5 corners", "many pieces of text"),
+    *("10^4 obstacles of one name", "10^4 obstacles that stand apart", "a name of 10^7 letters"),
+}
+"""Those that take longest, and so have the narrowest margin on a busy machine: they are *slow* tests."""
+
 SAID = {
     "60 polygons of 1000 teeth": "the file holds more than 120000 values; split it into several worlds",
     "an explicit key of 10^6 letters": "a key has at most 500 letters, not 1000000; shorten it",
@@ -129,7 +144,13 @@ def check(reader: _Reader, kind: str, path: Path, source: str, said: str = "") -
 
 
 def test_what_is_said_is_said_of_something():
-    assert SAID.keys() <= {*bombs.WORLDS, *bombs.SDF, *bombs.IRSIM, *bombs.MAPS}
+    names = {*bombs.WORLDS, *bombs.SDF, *bombs.IRSIM, *bombs.MAPS}
+    assert SAID.keys() <= names
+    assert names >= COSTLY
+
+
+def _names(files: dict[str, Any]) -> list[Any]:
+    return [pytest.param(name, marks=pytest.mark.slow) if name in COSTLY else name for name in files]
 
 
 def _write(path: Path, content: str | bytes) -> Path:
@@ -137,13 +158,13 @@ def _write(path: Path, content: str | bytes) -> Path:
     return path
 
 
-@pytest.mark.parametrize("name", bombs.WORLDS)
+@pytest.mark.parametrize("name", _names(bombs.WORLDS))
 def test_world_files_that_ask_for_much(name, reader, directory):
     path = _write(directory / "room.yaml", bombs.WORLDS[name]())
     check(reader, "world", path, str(path), SAID.get(name, ""))
 
 
-@pytest.mark.parametrize("name", bombs.SDF)
+@pytest.mark.parametrize("name", _names(bombs.SDF))
 def test_sdf_files_that_ask_for_much(name, reader, directory):
     path = _write(directory / "room.sdf", bombs.SDF[name]())
     check(reader, "sdf", path, str(path), SAID.get(name, ""))
@@ -163,13 +184,13 @@ def test_sdf_files_as_large_as_may_be(name, reader, directory):
     check(reader, "sdf", path, str(path))
 
 
-@pytest.mark.parametrize("name", bombs.IRSIM)
+@pytest.mark.parametrize("name", _names(bombs.IRSIM))
 def test_irsim_files_that_ask_for_much(name, reader, directory):
     path = _write(directory / "irsim.yaml", bombs.IRSIM[name]())
     check(reader, "ir-sim", path, str(path), SAID.get(name, ""))
 
 
-@pytest.mark.parametrize("name", bombs.MAPS)
+@pytest.mark.parametrize("name", _names(bombs.MAPS))
 def test_ros_maps_that_ask_for_much(name, reader, directory):
     settings, picture = bombs.MAPS[name]()
     path = _write(directory / "map.yaml", settings)
