@@ -106,7 +106,7 @@ def watch(hours: float, directory: Path, settings: list[str], console: Console) 
         if process.returncode not in (0, 128 + signal.SIGINT):
             output.seek(0)
             sys.exit(f"navsim train has failed, exit status {process.returncode}:\n{output.read()[-4000:]}")
-    left = [other for other in past if other != process.pid and psutil.pid_exists(other)]
+    left = still_alive([other for other in past if other != process.pid])
     return {
         "command": f"navsim {shlex.join(command)}",
         "machine": f"{processor()}, {psutil.cpu_count()} processors, {platform.system()}",
@@ -142,6 +142,14 @@ def look_at(trainer: psutil.Process, past: dict[int, float]) -> dict[str, float]
         past[member.pid] = times.user + times.system
     cpu = sum(past.values())
     return {"pss": memory, "files": files, "processes": processes, "cpu": cpu} if memory else {}
+
+
+def still_alive(processes: list[int], patience: float = 15.0) -> list[int]:
+    """Those that have not ended after so many seconds: they notice the end of their parent within a few."""
+    deadline = time.monotonic() + patience
+    while (left := [one for one in processes if psutil.pid_exists(one)]) and time.monotonic() < deadline:
+        time.sleep(0.5)
+    return left
 
 
 def last_step(directory: Path) -> int:

@@ -11,6 +11,7 @@ from navsim.robot import INITIAL_COMMAND, NUM_ACTIONS, TURTLEBOT2, apply_actions
 from navsim.simulator import Observation, Simulator, Transition
 from navsim.task import Path, Task
 from navsim.world import World
+from navsim.worldsource import worlds_from
 
 SMALL = DepthCamera(width=20, height=16)
 FASTER, LEFT, AHEAD = 1, 2, 4
@@ -378,3 +379,27 @@ def test_what_a_step_returns_is_not_changed_by_the_next():
     simulator.reset()
     for part, copied in zip((*observation, *transition), kept, strict=True):
         np.testing.assert_array_equal(part, copied)
+
+
+def test_spaces_of_many_worlds_are_let_go_and_made_anew_alike(monkeypatch):
+    """A space's memory only grows, so that of a thousand worlds would go on growing for hours of training."""
+    worlds = [
+        world.model_copy(update={"starts": "random", "goals": "random"})
+        for world in worlds_from("generate:clutter,count=12,seed=4")
+    ]
+
+    def driven(most_spaces: int) -> tuple[Simulator, list[np.ndarray]]:
+        monkeypatch.setattr("navsim.physics._MOST_SPACES", most_spaces)
+        simulator = Simulator(worlds, 4, camera=DepthCamera(width=14, height=10), seed=0, draw_worlds=True)
+        simulator.reset()
+        generator, poses = np.random.default_rng(0), []
+        for _ in range(400):
+            moved = simulator.step(generator.integers(0, 7, 4))
+            poses.append(simulator.poses.copy())
+            simulator.reset(moved.terminated | moved.truncated)
+        return simulator, poses
+
+    (few, poses), (all_kept, expected) = driven(2), driven(100)
+    assert len(few._physics._spaces) == 2
+    assert len(all_kept._physics._spaces) > 6
+    np.testing.assert_array_equal(poses, expected)
