@@ -14,7 +14,7 @@ from matplotlib.patches import Polygon as PolygonPatch
 from navsim import show
 from navsim.draw import VIEW
 from navsim.errors import WorldError
-from navsim.oddities import outline
+from navsim.oddities import outlines
 from navsim.planner import shortest_path
 from navsim.world import Box, Cylinder, Polygon, World
 
@@ -54,7 +54,7 @@ def test_names_stand_on_their_obstacles_and_can_be_left_out():
     texts = {text.get_text(): text for text in plan().axes[0].texts}
     assert {"chest", "post", "corner"} <= set(texts)
     for obstacle in WORLD.obstacles:
-        assert outline(obstacle).contains(shapely.Point(texts[obstacle.name].xy))
+        assert outlines([obstacle])[0].contains(shapely.Point(texts[obstacle.name].xy))
     assert "chest" not in {text.get_text() for text in plan(names=False).axes[0].texts}
 
 
@@ -77,7 +77,7 @@ def test_the_floor_in_view_is_what_a_straight_look_reaches(pose):
     cone = shapely.Polygon(view.get_xy())
     x, y, yaw = pose
     eye = np.array([x - 0.087 * math.cos(yaw), y - 0.087 * math.sin(yaw)])
-    solid = shapely.union_all([outline(obstacle) for obstacle in WORLD.obstacles])
+    solid = shapely.union_all(outlines(WORLD.obstacles))
     room = shapely.box(-3.5, -3.5, 3.5, 3.5)
     rng = np.random.default_rng(0)
     compared = 0

@@ -25,7 +25,7 @@ from torchrl.checkpoint import Checkpoint
 from rl.checkpoints import Checkpoints, StateFile, find_damage, step_of
 from rl.config import TrainConfig
 from rl.learner import Learner
-from rl.run import Run, RunError, Table, settings_of, write_json
+from rl.run import FORMAT, Run, RunError, Table, settings_of, write_json
 from rl.train import train
 
 TIMES = ("seconds", "processor_seconds", "steps_per_second")
@@ -389,7 +389,7 @@ def test_a_checkpoint_of_other_settings_is_refused(tmp_path, uninterrupted):
     shutil.copytree(uninterrupted.directory, out)
     with pytest.raises(RunError, match=r"was begun with other settings \(batch_size\)"):
         said_by_training(config(out, batch_size=32), resume=True)
-    write_json(out / "config.json", {"format": 1, **config(out, batch_size=32).to_dict()})
+    write_json(out / "config.json", {"format": FORMAT, **config(out, batch_size=32).to_dict()})
     with pytest.raises(RunError, match=r"written with other settings than .*config.json holds \(batch_size\)"):
         said_by_training(config(out, batch_size=32), resume=True)
 
