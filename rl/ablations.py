@@ -79,9 +79,13 @@ ROWS: dict[str, Row] = {
     "S": Row("D3QN-S", {"model": "S"}),
     "command": Row("sees its command (v, ω), too", {"inputs": ("depth", "heading", "command")}),
     "apart": Row("images three steps apart", {"frame_interval": 3}),
-    "command-apart": Row("both of these", {"inputs": ("depth", "heading", "command"), "frame_interval": 3}),
+    "command-apart": Row(
+        "sees its command, and images three steps apart",
+        {"inputs": ("depth", "heading", "command"), "frame_interval": 3},
+    ),
     "S-command-apart": Row(
-        "both of these, D3QN-S", {"model": "S", "inputs": ("depth", "heading", "command"), "frame_interval": 3}
+        "D3QN-S, sees its command, and images three steps apart",
+        {"model": "S", "inputs": ("depth", "heading", "command"), "frame_interval": 3},
     ),
     "depth-only": Row("sees no heading", {"inputs": ("depth",)}),
     "blind": Row("sees no images", {"inputs": ("heading",)}),

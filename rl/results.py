@@ -115,7 +115,7 @@ def results_page(runs: Sequence[dict[str, Any]], baselines: dict[str, Any], thes
         )
     lines += [
         "",
-        f"The best variant is `{VARIANT}`: {ROWS[VARIANT].what} ({', '.join(map(str, ROWS[VARIANT].changes))}).",
+        f"The best variant is `{VARIANT}`: D3QN-I that {ROWS[VARIANT].what}.",
         "",
         f"**Time to {ENOUGH:.0%}** in `complex_eval`: minutes of processor time at the first evaluation that reaches",
         "it, each seed (asked for: 20 minutes on two cores, aim 10): "
