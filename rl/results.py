@@ -77,14 +77,13 @@ def write_results(results: Path, page: Path, console: Console | None = None) -> 
     """
     runs = [json.loads(file.read_text(encoding="utf-8")) for file in sorted((results / "ablations").glob("*.json"))]
     tables = results / "reproduce" / "tables.md"
+    text = results_page(
+        runs,
+        drive_baselines(results / "baselines.json", console),
+        tables.read_text(encoding="utf-8") if tables.exists() else "Not run yet.\n",
+    )
     with atomic_write(page) as file:
-        file.write(
-            results_page(
-                runs,
-                drive_baselines(results / "baselines.json", console),
-                tables.read_text(encoding="utf-8") if tables.exists() else "Not run yet.\n",
-            )
-        )
+        file.write(text)
 
 
 def results_page(runs: Sequence[dict[str, Any]], baselines: dict[str, Any], thesis_tables: str) -> str:
