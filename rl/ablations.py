@@ -22,7 +22,7 @@ from rich.console import Console
 
 from navsim.draw import INK, QUIET_INK, new_figure, save_figure
 from rl.config import PRESETS, TrainConfig
-from rl.evaluation import Evaluation, evaluate
+from rl.evaluation import Evaluation, evaluate_as_trained
 from rl.policies import load_policy
 from rl.run import Run, atomic_write, processor, versions, write_json
 from rl.train import train
@@ -168,18 +168,7 @@ def _results_of(trained: Run, console: Console) -> dict[str, Any]:
     """A finished run's curves, and what its last weights do in rooms that it has not seen."""
     config, actor = trained.config, load_policy(trained.directory, weights="last")
     final = {
-        place: rates_of(
-            evaluate(
-                actor,
-                world,
-                camera=config.camera,
-                task=config.task,
-                robot=config.robot,
-                frame_interval=config.frame_interval,
-                num_paths=paths,
-                console=console,
-            )
-        )
+        place: rates_of(evaluate_as_trained(actor, config, world, num_paths=paths, console=console))
         for place, (world, paths) in PLACES.items()
     }
     rows = trained.evaluations.rows()

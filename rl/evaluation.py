@@ -33,6 +33,7 @@ from navsim.simulator import Observation, Simulator, Transition
 from navsim.task import Path, Task
 from navsim.world import World
 from navsim.worldsource import WorldSource, worlds_from
+from rl.config import TrainConfig
 from rl.observation import history_length, stack_of
 from rl.run import atomic_write
 
@@ -425,6 +426,34 @@ def evaluate(
             results += drive(worlds, part, advance=advance)
     policy_name = name or getattr(policy, "name", "") or type(policy).__name__
     return Evaluation(policy_name, label, seed, tuple(results), tuple(world.name for world in worlds))
+
+
+def evaluate_as_trained(
+    policy: Policy,
+    config: TrainConfig,
+    world: WorldSource | Sequence[WorldSource],
+    *,
+    num_paths: int | None = None,
+    console: Console | None = None,
+) -> Evaluation:
+    """``evaluate`` with the camera, rules, robot, sensor and images that a policy was trained with; seed 0.
+
+    Args:
+        policy: see :func:`evaluate`.
+        config: the settings that it was trained with.
+        world: see :func:`evaluate`, as the others.
+    """
+    return evaluate(
+        policy,
+        world,
+        camera=config.camera,
+        task=config.task,
+        robot=config.robot,
+        sensor=config.sensor,
+        frame_interval=config.frame_interval,
+        num_paths=num_paths,
+        console=console,
+    )
 
 
 def _label(source: WorldSource | Sequence[WorldSource], worlds: Sequence[World]) -> str:

@@ -18,7 +18,7 @@ from navsim.raycast import render_depth
 from navsim.robot import TURTLEBOT2
 from navsim.world import World
 from navsim.worldsource import worlds_from
-from rl.evaluation import Evaluation, PathResult, evaluate
+from rl.evaluation import Evaluation, PathResult, evaluate_as_trained
 from rl.figures import describe
 from rl.observation import NUM_FRAMES
 from rl.policies import find_policy
@@ -154,17 +154,7 @@ def write_failures(
     """
     driver, config = find_policy(policy)
     worlds = worlds_from(world)
-    result = evaluate(
-        driver,
-        worlds,
-        camera=config.camera,
-        task=config.task,
-        robot=config.robot,
-        sensor=config.sensor,
-        frame_interval=config.frame_interval,
-        num_paths=num_paths,
-        console=console,
-    )
+    result = evaluate_as_trained(driver, config, worlds, num_paths=num_paths, console=console)
     failures = explain_all(result, worlds, config.camera, config.frame_interval)
     if failures:
         save_figure(draw_failures(failures[:_MOST_DRAWN], worlds), picture)

@@ -13,7 +13,7 @@ from navsim.sensor import SensorModel
 from rl.ablations import UNSEEN_PATHS, UNSEEN_ROOMS, arguments_of
 from rl.baselines import make_baseline
 from rl.config import TrainConfig
-from rl.evaluation import Evaluation, Policy, evaluate
+from rl.evaluation import Evaluation, evaluate_as_trained
 from rl.pretrained import pack_policy, read_policy
 from rl.run import Run, atomic_write
 
@@ -53,31 +53,18 @@ def ship(
     packed = directory / f"{name}.safetensors"
     pack_policy(run, packed, weights=weights)
     policy, config = read_policy(packed)
-    results = [
-        (place, _drive(policy, config, world, paths, console), _drive_reactive(config, world, paths, console))
-        for place, world, paths in PLACES
-    ]
+    reactive = make_baseline("reactive", config.camera)
+    results = []
+    for place, world, paths in PLACES:
+        own, beside = (
+            evaluate_as_trained(driver, config, world, num_paths=paths, console=console)
+            for driver in (policy, reactive)
+        )
+        results.append((place, own, beside))
     card = directory / f"{name}.md"
     with atomic_write(card) as file:
         file.write(_card(run, name, config, weights, results))
     return card
-
-
-def _drive(policy: Policy, config: TrainConfig, world: str, paths: int | None, console: Console | None) -> Evaluation:
-    return evaluate(
-        policy,
-        world,
-        camera=config.camera,
-        task=config.task,
-        robot=config.robot,
-        frame_interval=config.frame_interval,
-        num_paths=paths,
-        console=console,
-    )
-
-
-def _drive_reactive(config: TrainConfig, world: str, paths: int | None, console: Console | None) -> Evaluation:
-    return _drive(make_baseline("reactive", config.camera), config, world, paths, console)
 
 
 def _card(
