@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import shlex
 import statistics
 from collections.abc import Iterable, Sequence
@@ -228,7 +229,7 @@ def write_page(results: Path, page: Path) -> None:
     picture = results / "curves.png"
     save_figure(curves(finished), picture)
     with atomic_write(page) as file:
-        file.write(_page(finished, Path(picture.name) if page.parent == results else picture.relative_to(page.parent)))
+        file.write(_page(finished, Path(os.path.relpath(picture, page.parent))))
 
 
 def _by_row(finished: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:

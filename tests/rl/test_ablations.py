@@ -72,6 +72,12 @@ def test_finished_runs_are_not_repeated_and_the_page_has_every_seed(small, monke
     assert page.index("| base") < page.index("| S |")
     assert "- S: `navsim train --model S`" in page
     assert (small["results"] / "curves.png").stat().st_size > 10_000
+    assert "](results/curves.png)" in page
+
+
+def test_the_page_may_lie_anywhere(small, tmp_path):
+    run(["base"], [0], **{**small, "page": tmp_path / "elsewhere" / "page.md"}, console=QUIET)
+    assert "](../results/curves.png)" in (tmp_path / "elsewhere" / "page.md").read_text(encoding="utf-8")
 
 
 def test_a_row_that_there_is_not_is_named_before_anything_is_trained(small):
