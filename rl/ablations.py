@@ -78,6 +78,7 @@ class Row(NamedTuple):
 ROWS: dict[str, Row] = {
     "base": Row("preset fast, D3QN-I, in 400 generated rooms", {}),
     "S": Row("D3QN-S", {"model": "S"}),
+    "linear-depth": Row("sees depth itself, as in the thesis, not its inverse", {"depth_scale": "linear"}),
     "command": Row("sees its command (v, ω), too", {"inputs": ("depth", "heading", "command")}),
     "apart": Row("images three steps apart", {"frame_interval": 3}),
     "command-apart": Row(

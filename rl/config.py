@@ -16,7 +16,7 @@ from navsim.robot import Robot
 from navsim.sensor import SensorModel
 from navsim.task import Task
 from navsim.worldsource import check_sources, is_generated, short_name
-from rl.observation import Input, Model, check_inputs
+from rl.observation import DepthScale, Input, Model, check_inputs
 
 LEAST_WIDTH, LEAST_HEIGHT = 14, 10
 """Of images, pixels: the size of the networks' first kernel (``rl.networks``)."""
@@ -48,6 +48,9 @@ class Experiment:
     the speeds (v, ω) that the robot was last told."""
     frame_interval: int = 1
     """Steps from one depth image of the stack to the next: 3 makes the four images reach back 1.8 s, not 0.6 s."""
+    depth_scale: DepthScale = "inverse"
+    """How the network sees depth: "linear", as in the thesis, or "inverse", 0.4 m over depth, which magnifies what is
+    near."""
     world: tuple[str, ...] = ("generate:clutter,density=0.11,count=400",)
     """Generated rooms to train in, so many of a kind, or world files, or names of shipped worlds such as
     "complex_train"; with several worlds, each episode draws one."""
@@ -288,7 +291,7 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
         Raises:
             ConfigError: for keys that are not settings, or values that cannot be used.
         """
-        values = dict(values)
+        values = {"depth_scale": "linear"} | values  # settings that were written before there was a choice
         unknown = sorted(set(values) - {setting.name for setting in dataclasses.fields(cls)})
         if unknown:
             raise ConfigError(f"unknown settings: {', '.join(unknown)}; was this written by another version?")
@@ -327,6 +330,7 @@ PRESETS: dict[str, TrainConfig] = {
     # Section 5.3 of the thesis; what it leaves open is listed in docs/thesis.md.
     "thesis": TrainConfig(
         preset="thesis",
+        depth_scale="linear",
         world=("complex_train",),
         total_steps=400_000,
         num_envs=8,

@@ -108,17 +108,18 @@ class Convolution(torch.autograd.Function):
 class ByteConvolution(torch.autograd.Function):
     """A convolution, without bias, of 8-bit images ``(B, C, H, W)``, as they are stored, to ``(B·H'·W', O)``.
 
-    ``weight`` is ``(O, K)``, where K counts the kernel's places in the order row, column, channel; it may hold kernels
-    of several networks. Patches, in ``weight``'s format, are many times as large as the images, so a few samples' are
-    made at a time, which are still in the cache when they are multiplied.
+    What is convolved of a pixel c is c itself or, given a number ``nearest``, ``nearest / max(c, nearest)``. ``weight``
+    is ``(O, K)``, where K counts the kernel's places in the order row, column, channel; it may hold kernels of several
+    networks. Patches, in ``weight``'s format, are many times as large as the images, so a few samples' are made at a
+    time, which are still in the cache when they are multiplied.
     """
 
     @staticmethod
-    def forward(ctx: Any, images: Tensor, weight: Tensor, geometry: Geometry) -> Tensor:
+    def forward(ctx: Any, images: Tensor, weight: Tensor, geometry: Geometry, nearest: float | None = None) -> Tensor:
         ctx.portions = []
         ctx.precision = torch.promote_types(weight.dtype, torch.float32)
         result = weight.new_empty(len(images) * geometry.output[0] * geometry.output[1], len(weight))
-        for place, rows in _portions(images, geometry, weight.dtype):
+        for place, rows in _portions(images, geometry, weight.dtype, nearest):
             torch.mm(rows, weight.t(), out=result[place])
             if ctx.needs_input_grad[1]:
                 ctx.portions.append((place, rows))
@@ -129,14 +130,18 @@ class ByteConvolution(torch.autograd.Function):
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         of_weight = sum((gradient[place].t() @ rows).to(ctx.precision) for place, rows in ctx.portions)
         ctx.portions = []
-        return None, of_weight, None
+        return None, of_weight, None, None
 
 
-def _portions(images: Tensor, geometry: Geometry, dtype: torch.dtype) -> Iterator[tuple[slice, Tensor]]:
+def _portions(
+    images: Tensor, geometry: Geometry, dtype: torch.dtype, nearest: float | None
+) -> Iterator[tuple[slice, Tensor]]:
     """Patches of a few images at a time, and which rows of the whole they are."""
     positions = geometry.output[0] * geometry.output[1]
     count = max(1, _ROWS // positions)
     for first in range(0, len(images), count):
         portion = torch.stack(images[first : first + count].unbind(1), dim=-1)  # faster than permute and contiguous
+        if nearest is not None:
+            portion = portion.float().clamp_(min=nearest).reciprocal_().mul_(nearest)
         place = slice(first * positions, (first + len(portion)) * positions)
         yield place, patches(portion, geometry, dtype)

@@ -134,9 +134,11 @@ def make_actor(config: TrainConfig) -> QValueActor:
     if config.loss_function == "categorical":
         returns = (config.least_return, config.greatest_return)
         return make_categorical_actor(
-            config.model, height, width, config.inputs, atoms=config.atoms, value_range=returns
+            *(config.model, height, width, config.inputs, config.depth_scale),
+            atoms=config.atoms,
+            value_range=returns,
         )
-    return make_q_actor(config.model, height, width, config.inputs)
+    return make_q_actor(config.model, height, width, config.inputs, config.depth_scale)
 
 
 def name_in_network(name: str) -> str:

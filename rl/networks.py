@@ -8,7 +8,10 @@ The models differ in how the heading θ of the goal enters, always as (θ + π) 
 - **D3QN-S**: appended to the flattened features, the input of both streams.
 
 Variants see less or more (``inputs``): one of both inputs alone, which tells what the other is worth, or the robot's
-own command (v, ω) besides, appended to the features.
+own command (v, ω) besides, appended to the features. And depth may enter as it is or inverted (``depth_scale``). The
+thesis's networks see depth divided by the greatest one, 5 m, so that the range that decides whether a robot collides,
+0.4 to 1 m, is 12% of what their first layer tells apart. Inverted, as stereo cameras and the Kinect itself measure
+it (disparity), it is 60%; docs/ablations.md tells what that is worth.
 
 Some things are computed differently from how they are written above, and give the same numbers (the tests compare):
 
@@ -19,7 +22,7 @@ Some things are computed differently from how they are written above, and give t
 - A constant plane is not convolved. A convolution is linear, so the plane contributes its number times the response of
   conv1's fifth channel to a plane of ones, which depends on the weights only.
 - The images' division by 255 is done on conv1's weights, so that 8-bit images enter as they are; every value from 0 to
-  255 is exact in bfloat16, too.
+  255 is exact in bfloat16, too. Inverted depth is computed of a few images at a time, which are in the cache.
 - ``hidden_of_update`` judges what an update of double Q-learning needs in fewer, larger products.
 
 docs/performance.md tells what each of these gives, and what was tried besides.
@@ -40,7 +43,7 @@ from torchrl.modules import QValueActor
 
 from navsim.robot import ACTIONS, NUM_ACTIONS
 from rl.convolution import ByteConvolution, Convolution, Geometry
-from rl.observation import DEPTH_AND_HEADING, NUM_FRAMES, Input, Model, check_inputs, keys_of
+from rl.observation import DEPTH_AND_HEADING, NEAREST, NUM_FRAMES, DepthScale, Input, Model, check_inputs, keys_of
 
 _FASTEST = tuple(max(abs(command[axis] or 0.0) for command in ACTIONS) for axis in (0, 1))
 
@@ -119,6 +122,8 @@ class D3QN(nn.Module):
         height: of the depth images, pixels; at least 10, the height of the first kernel.
         width: of the depth images, pixels; at least 14.
         inputs: what it sees. Images or headings that are not among them are zeros to it, whatever it is given.
+        depth_scale: what becomes of a depth d between 0 and 1, of the greatest: ``"linear"``, d itself, or
+            ``"inverse"``, 0.08 / max(d, 0.08). It is no weight, and a state dict does not tell it.
 
     Attributes:
         conv1, conv2, conv3: the convolutions; the fifth input channel of D3QN-I's ``conv1`` is the heading's.
@@ -126,7 +131,7 @@ class D3QN(nn.Module):
         value, advantage: the streams' last layers.
 
     Raises:
-        ValueError: for another model, no or unknown inputs, or images smaller than the first kernel.
+        ValueError: for another model or scale, no or unknown inputs, or images smaller than the first kernel.
 
     Weights begin as in TensorFlow, the thesis's framework: Glorot's uniform distribution (2010), for each stream of its
     own, and biases of zero.
@@ -145,12 +150,15 @@ class D3QN(nn.Module):
         height: int = 64,
         width: int = 80,
         inputs: Collection[Input] = DEPTH_AND_HEADING,
+        depth_scale: DepthScale = "linear",
     ) -> None:
         super().__init__()
         if model not in get_args(Model):
             raise ValueError(
                 f'model must be "I" (heading as an image plane) or "S" (heading as a scalar); got {model!r}'
             )
+        if depth_scale not in get_args(DepthScale):
+            raise ValueError(f'depth_scale must be "linear" or "inverse"; got {depth_scale!r}')
         check_inputs(inputs)
         least = _CONVOLUTIONS[0].kernel
         if height < least[0] or width < least[1]:
@@ -160,6 +168,7 @@ class D3QN(nn.Module):
             )
         self.model = model
         self.inputs = frozenset(inputs)
+        self.depth_scale = depth_scale
         self.image_shape = (NUM_FRAMES, height, width)
 
         channels, size = NUM_FRAMES + (model == "I"), (height, width)
@@ -225,8 +234,7 @@ class D3QN(nn.Module):
     def hidden(self, depth: Tensor, heading: Tensor, command: Tensor | None = None) -> Tensor:
         """The hidden layers of both streams, one sample a column: ``(1024, B)``; arguments as for ``forward``."""
         depth, scalars = self._flat(depth, heading, command)
-        response = ByteConvolution.apply(depth, self._byte_kernel(), self.conv1.geometry)
-        return self._streams(self._features(response, scalars))
+        return self._streams(self._features(self._response(depth, self._byte_kernel()), scalars))
 
     def head(self, hidden: Tensor) -> Tensor:
         """Action values, ``(B, 7)``, of hidden layers ``(1024, B)``."""
@@ -244,8 +252,6 @@ class D3QN(nn.Module):
                 f" got {tuple(depth.shape[-3:])}"
             )
         depth, scalars = depth.reshape(-1, *self.image_shape), ((heading + math.pi) / (2.0 * math.pi)).reshape(-1, 1)
-        if "depth" not in self.inputs:
-            depth = torch.zeros_like(depth)
         if "heading" not in self.inputs:
             scalars = torch.zeros_like(scalars)
         if "command" in self.inputs:
@@ -255,10 +261,16 @@ class D3QN(nn.Module):
         return depth, scalars
 
     def _byte_kernel(self) -> Tensor:
-        """conv1's weights for 8-bit images, ``(32, 560)``, in the format that the networks multiply in."""
-        weight = self.conv1.weight[:, :NUM_FRAMES].permute(0, 2, 3, 1).flatten(1) * (1.0 / 255.0)
+        """conv1's weights for what ``_response`` convolves, ``(32, 560)``, in the format that networks multiply in."""
+        share = (1.0 if self.depth_scale == "inverse" else 1.0 / 255.0) * ("depth" in self.inputs)
+        weight = self.conv1.weight[:, :NUM_FRAMES].permute(0, 2, 3, 1).flatten(1) * share
         device = weight.device.type
         return weight.to(torch.get_autocast_dtype(device)) if torch.is_autocast_enabled(device) else weight
+
+    def _response(self, depth: Tensor, kernels: Tensor) -> Tensor:
+        """What 8-bit images ``(B, 4, H, W)`` give with the kernels of one or more networks, ``(B·H'·W', 32 each)``."""
+        nearest = 255.0 * NEAREST if self.depth_scale == "inverse" else None
+        return ByteConvolution.apply(depth, kernels, self.conv1.geometry, nearest)
 
     def _features(self, response: Tensor, scalars: Tensor) -> Tensor:
         """What the streams see, ``(B, n)``, of conv1's ``response`` to the images, ``(B·H'·W', 32)`` without bias."""
@@ -328,14 +340,13 @@ def hidden_of_update(
     networks = (target, online) if double else (target,)
     with torch.no_grad():
         kernels = [network._byte_kernel() for network in networks]
-        responses = ByteConvolution.apply(next_depth, torch.cat(kernels), online.conv1.geometry)
+        responses = online._response(next_depth, torch.cat(kernels))
         next_features = [
             network._features(response, next_scalars)
             for network, response in zip(networks, responses.split(len(kernels[0]), dim=1), strict=True)
         ]
         next_hidden = target._streams(next_features[0])
-    response = ByteConvolution.apply(depth, online._byte_kernel(), online.conv1.geometry)
-    features = online._features(response, scalars)
+    features = online._features(online._response(depth, online._byte_kernel()), scalars)
     if not double:
         return online._streams(features), next_hidden, next_hidden
     both = online._streams(features, next_features[1])
@@ -353,7 +364,11 @@ def _coverage(convolution: _Convolution, height: int, width: int) -> Tensor:
 
 
 def make_q_actor(
-    model: Model = "I", height: int = 64, width: int = 80, inputs: Collection[Input] = DEPTH_AND_HEADING
+    model: Model = "I",
+    height: int = 64,
+    width: int = 80,
+    inputs: Collection[Input] = DEPTH_AND_HEADING,
+    depth_scale: DepthScale = "linear",
 ) -> QValueActor:
     """The greedy policy of a new network.
 
@@ -365,6 +380,7 @@ def make_q_actor(
         height: of the depth images, pixels.
         width: of the depth images, pixels.
         inputs: what it sees.
+        depth_scale: how; see ``D3QN``.
 
     Returns:
         a TorchRL actor with a categorical action space, for tensordicts of any batch size.
@@ -372,5 +388,5 @@ def make_q_actor(
     Raises:
         ValueError: as ``D3QN``.
     """
-    network = D3QN(model, height, width, inputs)
+    network = D3QN(model, height, width, inputs, depth_scale)
     return QValueActor(network, in_keys=keys_of(inputs), spec=Categorical(NUM_ACTIONS))

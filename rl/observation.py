@@ -14,6 +14,12 @@ Model = Literal["I", "S"]
 Input = Literal["depth", "heading", "command"]
 """Depth images, the heading of the goal, and the command (v, ω) in force."""
 
+DepthScale = Literal["linear", "inverse"]
+"""How depth enters the first convolution: as a share of the greatest depth, or ``NEAREST`` over it."""
+
+NEAREST = 0.08
+"""Share of the greatest depth, 0.4 m of 5 m, up to which the inverse scale is 1: there, depth ends an episode."""
+
 DEPTH_AND_HEADING: tuple[Input, ...] = ("depth", "heading")
 """The inputs of the thesis."""
 

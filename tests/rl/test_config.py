@@ -22,6 +22,7 @@ def test_thesis_preset_holds_the_numbers_of_section_5_3():
     assert (thesis.learning_rate, thesis.learning_rate_decay, thesis.loss_function) == (1e-4, "none", "l2")
     assert (thesis.target_update, thesis.tau, thesis.steps_per_update) == ("soft", 0.001, 1.0)
     assert thesis.total_steps == 400_000
+    assert (thesis.inputs, thesis.depth_scale, thesis.frame_interval) == (("depth", "heading"), "linear", 1)
     assert (thesis.mirror, thesis.prioritized, thesis.random_paths) == (False, False, False)
 
 
@@ -48,6 +49,13 @@ def test_a_preset_bears_its_own_name(name):
 )
 def test_settings_survive_json(config):
     assert TrainConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
+
+
+def test_settings_from_before_the_scale_of_depth_could_be_chosen_have_the_one_there_was():
+    assert PRESETS["fast"].depth_scale == "inverse"
+    before = PRESETS["fast"].to_dict()
+    del before["depth_scale"]
+    assert TrainConfig.from_dict(before).depth_scale == "linear"
 
 
 def test_every_setting_belongs_to_one_group_of_the_help():

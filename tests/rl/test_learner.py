@@ -55,6 +55,18 @@ def test_the_learning_rate_falls_along_half_a_cosine():
     assert constant.learning_rate == CONFIG.learning_rate
 
 
+@pytest.mark.parametrize("loss_function", ["categorical", "l2"])
+@pytest.mark.parametrize("depth_scale", ["linear", "inverse"])
+def test_the_network_is_the_one_that_the_settings_describe(loss_function, depth_scale):
+    config = replace(
+        CONFIG, model="S", inputs=("heading", "command"), loss_function=loss_function, depth_scale=depth_scale
+    )
+    network = Learner(config).actor.module[0].module
+    assert (network.model, network.inputs, network.depth_scale) == ("S", {"heading", "command"}, depth_scale)
+    assert network.image_shape == (4, 12, 20)
+    assert getattr(network, "support", torch.empty(0)).numel() == (config.atoms if loss_function != "l2" else 0)
+
+
 @pytest.mark.parametrize("model", ["I", "S"])
 def test_what_is_known_is_learnt(model):
     torch.manual_seed(0)
@@ -122,8 +134,9 @@ def test_steps_are_those_of_pytorch_on_clipped_gradients(max_grad_norm):
         optimiser.step()
         optimiser.zero_grad()
         super(SoftUpdateAtOnce, plain.target_updater).step()
-    torch.testing.assert_close(online(learner), online(plain), rtol=1e-5, atol=1e-7)
-    torch.testing.assert_close(target(learner), target(plain), rtol=1e-5, atol=1e-7)
+    # Adam makes whole steps, 5e-4 here, of the smallest gradients, rounding and all.
+    torch.testing.assert_close(online(learner), online(plain), rtol=1e-5, atol=1e-6)
+    torch.testing.assert_close(target(learner), target(plain), rtol=1e-5, atol=1e-6)
     for ours, theirs in zip(learner.optimiser.state.values(), optimiser.state.values(), strict=True):
         torch.testing.assert_close(ours["exp_avg"], theirs["exp_avg"], rtol=1e-3, atol=1e-7)
 

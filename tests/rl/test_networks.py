@@ -37,7 +37,10 @@ def plain_action_values(
     network: D3QN, depth: torch.Tensor, heading: torch.Tensor, command: torch.Tensor | None = None
 ) -> torch.Tensor:
     """Q as design and thesis define it: images from 0 to 1, a real heading plane, two separate streams."""
-    images = depth.float() / 255 * ("depth" in network.inputs)
+    images = depth.float() / 255
+    if network.depth_scale == "inverse":
+        images = 0.08 / images.clamp(min=0.08)
+    images = images * ("depth" in network.inputs)
     angle = (heading + math.pi) / (2 * math.pi) * ("heading" in network.inputs)
     if network.model == "I":
         plane = angle[:, :, None, None].expand(-1, -1, *images.shape[-2:])
@@ -98,10 +101,11 @@ def test_fully_connected_layers_have_as_many_parameters_as_in_the_thesis(model, 
 
 
 @pytest.mark.parametrize("model", ["I", "S"])
+@pytest.mark.parametrize("depth_scale", ["linear", "inverse"])
 @pytest.mark.parametrize(("height", "width"), SIZES)
-def test_action_values_and_gradients_are_those_of_the_plain_definition(model, height, width):
+def test_action_values_and_gradients_are_those_of_the_plain_definition(model, height, width, depth_scale):
     torch.manual_seed(0)
-    network = D3QN(model, height, width)
+    network = D3QN(model, height, width, depth_scale=depth_scale)
     for parameter in network.parameters():  # biases too
         parameter.data.add_(0.05 * torch.randn_like(parameter))
     depth, heading = observations(5, height=height, width=width)
@@ -119,9 +123,10 @@ def test_action_values_and_gradients_are_those_of_the_plain_definition(model, he
 
 @pytest.mark.parametrize("model", ["I", "S"])
 @pytest.mark.parametrize("inputs", [("depth",), ("heading",), ("depth", "heading", "command"), ("heading", "command")])
-def test_variants_see_what_they_are_said_to(model, inputs):
+@pytest.mark.parametrize("depth_scale", ["linear", "inverse"])
+def test_variants_see_what_they_are_said_to(model, inputs, depth_scale):
     torch.manual_seed(0)
-    network = D3QN(model, 33, 90, inputs)
+    network = D3QN(model, 33, 90, inputs, depth_scale)
     for parameter in network.parameters():
         parameter.data.add_(0.05 * torch.randn_like(parameter))
     depth, heading = observations(5, height=33, width=90)
@@ -135,7 +140,7 @@ def test_variants_see_what_they_are_said_to(model, inputs):
     for index, name in enumerate(("depth", "heading", "command")[: len(seen)]):
         changed = network(*(others[i] if i == index else value for i, value in enumerate(seen)))
         assert torch.equal(changed, values) == (name not in inputs)
-    actor = make_q_actor(model, 33, 90, inputs)
+    actor = make_q_actor(model, 33, 90, inputs, depth_scale)
     out = actor(TensorDict({"depth": depth, "heading": heading, "command": command}, [5]))
     torch.testing.assert_close(out["action_value"], actor.module[0].module(*seen))
 
@@ -227,6 +232,8 @@ def test_settings_that_cannot_be_used_are_refused():
         make_q_actor("S", height=64, width=13)
     with pytest.raises(ValueError, match="model must be"):
         make_q_actor("X")
+    with pytest.raises(ValueError, match="depth_scale must be"):
+        make_q_actor("I", depth_scale="logarithmic")
     network = D3QN("I", 64, 80)
     depth, heading = observations(2, height=80, width=64)
     with pytest.raises(ValueError, match=r"\(4, 64, 80\).*\(4, 80, 64\)"):
@@ -237,10 +244,13 @@ def test_settings_that_cannot_be_used_are_refused():
 @pytest.mark.parametrize("double", [True, False])
 @pytest.mark.parametrize(("height", "width"), SIZES)
 @pytest.mark.parametrize("command", [False, True])
-def test_an_update_sees_the_hidden_layers_that_each_network_would_have(model, double, height, width, command):
+@pytest.mark.parametrize("depth_scale", ["linear", "inverse"])
+def test_an_update_sees_the_hidden_layers_that_each_network_would_have(
+    model, double, height, width, command, depth_scale
+):
     torch.manual_seed(0)
     inputs = ("depth", "heading", "command") if command else ("depth", "heading")
-    online, target = D3QN(model, height, width, inputs), D3QN(model, height, width, inputs)
+    online, target = (D3QN(model, height, width, inputs, depth_scale) for _ in range(2))
     observation, next_observation = (
         (*observations(11, height=height, width=width), *([torch.randn(11, 2)] if command else [])) for _ in range(2)
     )
