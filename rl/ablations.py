@@ -109,6 +109,7 @@ ROWS: dict[str, Row] = {
     "gamma-0.99": Row("a discount of 0.99", {"gamma": 0.99, "greatest_return": 5.0}),
     "twice-the-samples": Row("an update every 4 steps", {"steps_per_update": 4.0}),
     "half-the-samples": Row("an update every 16 steps", {"steps_per_update": 16.0}),
+    "half-as-long": Row("100,000 steps", {"total_steps": 100_000, "eval_interval": 12_500}),
     "twice-the-steps": Row(
         "400,000 steps, an update every 16",
         {"total_steps": 400_000, "steps_per_update": 16.0, "epsilon_steps": 50_000, "eval_interval": 50_000},
