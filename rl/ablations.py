@@ -85,6 +85,14 @@ ROWS: dict[str, Row] = {
         "sees its command, and images three steps apart",
         {"inputs": ("depth", "heading", "command"), "frame_interval": 3},
     ),
+    "surroundings": Row(
+        "remembers what stood around it, and sees its command",
+        {"inputs": ("depth", "heading", "command", "surroundings")},
+    ),
+    "S-surroundings": Row(
+        "D3QN-S, remembers what stood around it, and sees its command",
+        {"model": "S", "inputs": ("depth", "heading", "command", "surroundings")},
+    ),
     "S-command-apart": Row(
         "D3QN-S, sees its command, and images three steps apart",
         {"model": "S", "inputs": ("depth", "heading", "command"), "frame_interval": 3},

@@ -177,6 +177,7 @@ class BackgroundCollector(AsyncCollector):
                     sensor=simulator.sensor,
                     randomization=simulator.randomization,
                     frame_interval=env.frame_interval,
+                    surroundings=env.surroundings is not None,
                     seed=seed,
                 ),
                 policy,

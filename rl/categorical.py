@@ -69,9 +69,9 @@ class CategoricalD3QN(D3QN):
         self.reset_parameters()
         self.register_buffer("support", torch.linspace(*value_range, atoms), persistent=False)
 
-    def logits(self, depth: Tensor, heading: Tensor, command: Tensor | None = None) -> Tensor:
+    def logits(self, depth: Tensor, heading: Tensor, *others: Tensor) -> Tensor:
         """Unnormalised logarithms of the probabilities, ``(..., 7, atoms)``, for what ``forward`` takes."""
-        return self._logits(self.hidden(depth, heading, command)).reshape(*depth.shape[:-3], NUM_ACTIONS, -1)
+        return self._logits(self.hidden(depth, heading, *others)).reshape(*depth.shape[:-3], NUM_ACTIONS, -1)
 
     def _logits(self, hidden: Tensor) -> Tensor:
         """``(B, 7, atoms)`` of hidden layers ``(1024, B)``."""

@@ -42,6 +42,7 @@ def make_env(config: TrainConfig, *, seed: int | None = None) -> NavEnv:
         sensor=config.sensor,
         randomization=config.randomization,
         frame_interval=config.frame_interval,
+        surroundings="surroundings" in config.inputs,
         seed=config.seed if seed is None else seed,
     )
 
@@ -153,8 +154,8 @@ class ResumableCollector(Collector):
         """Goes on from ``state_dict``."""
         self._frames, self._iter = state_dict["frames"], state_dict["iter"]
         environment = state_dict["environment"]
-        simulator = tree_map(_as_array, environment["simulator"])
-        self.env.load_state_dict(environment | {"simulator": simulator})
+        arrays = {part: tree_map(_as_array, state) for part, state in environment.items() if part != "frames"}
+        self.env.load_state_dict(environment | arrays)
         perceived = TensorDict(state_dict["perceived"], self.env.batch_size, device=self._carrier.device)
         self._carrier = perceived.unflatten_keys(".").clone()
 

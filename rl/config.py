@@ -44,8 +44,9 @@ class Experiment:
     model: Model = "I"
     """How the network gets the heading: "I" as a fifth image plane, "S" as a scalar beside the image's features."""
     inputs: tuple[Input, ...] = ("depth", "heading")
-    """What the network sees: the thesis's two, or one of them alone (what is the other worth?), or "command" besides,
-    the speeds (v, ω) that the robot was last told."""
+    """What the network sees: the thesis's two, or one of them alone (what is the other worth?); besides them "command",
+    the speeds (v, ω) that the robot was last told, and "surroundings", how near the last six seconds of images and the
+    robot's odometry have things in 36 directions around it."""
     frame_interval: int = 1
     """Steps from one depth image of the stack to the next: 3 makes the four images reach back 1.8 s, not 0.6 s."""
     depth_scale: DepthScale = "inverse"

@@ -110,6 +110,7 @@ class _Watched:
 
     def __init__(self, policy: Callable[[TensorDictBase], TensorDictBase]) -> None:
         self._policy = policy
+        self.in_keys = getattr(policy, "in_keys", ())
         self._values: list[torch.Tensor] = []
 
     def __call__(self, state: TensorDictBase) -> TensorDictBase:

@@ -19,6 +19,7 @@ from navsim.simulator import Observation, Simulator
 from navsim.task import Task
 from navsim.worldsource import TRAINING_SEED, WorldSource, worlds_from
 from rl.observation import NUM_FRAMES, history_length, stack_of
+from rl.surroundings import REACH, SECTORS, Surroundings
 
 
 class NavEnv(EnvBase):
@@ -38,6 +39,8 @@ class NavEnv(EnvBase):
     ``success``, ``collision``      bool ``(N, 1)``             why it ended
     ``bumper``, ``too_near``        bool ``(N, 1)``             what collided in this step: the bumper hit something, a
                                                                 pixel is nearer than the task's ``collision_depth``
+    ``surroundings``                float32 ``(N, 36)``         if asked for: metres, at most 2, to the nearest thing
+                                                                remembered in each direction, see ``rl.surroundings``
     ``pose``                        float32 ``(N, 3)``          x, y (m), yaw (rad): for analysis, not for policies
     ==============================  ==========================  ====================================================
 
@@ -54,6 +57,7 @@ class NavEnv(EnvBase):
         sensor: noise, lost returns and latency of the depth images; none by default.
         randomization: what each episode draws anew of camera, wheels, sensor and start; nothing by default.
         frame_interval: steps from one image of the stack to the next.
+        surroundings: whether robots remember what stood around them.
         seed: of everything drawn at random; ``set_seed`` replaces it. Fresh entropy by default.
         device: where tensors are put; the simulation runs on the CPU.
 
@@ -79,6 +83,7 @@ class NavEnv(EnvBase):
         sensor: SensorModel | None = None,
         randomization: Randomization | None = None,
         frame_interval: int = 1,
+        surroundings: bool = False,
         seed: int | None = None,
         device: torch.device | str = "cpu",
     ) -> None:
@@ -100,6 +105,7 @@ class NavEnv(EnvBase):
         )
         height, width = self.simulator.camera.height, self.simulator.camera.width
         self._history = torch.zeros((num_envs, history_length(frame_interval), height, width), dtype=torch.uint8)
+        self.surroundings = Surroundings(num_envs, self.simulator.camera) if surroundings else None
         self._make_specs(num_envs, height, width)
 
     def _make_specs(self, n: int, height: int, width: int) -> None:
@@ -115,6 +121,10 @@ class NavEnv(EnvBase):
             too_near=flag.clone(),
             shape=(n,),
         ).to(self.device)
+        if self.surroundings is not None:
+            self.observation_spec["surroundings"] = Bounded(
+                0.0, REACH, shape=(n, SECTORS), dtype=torch.float32, device=self.device
+            )
         self.action_spec = Categorical(NUM_ACTIONS, shape=(n,), dtype=torch.int64).to(self.device)
         self.reward_spec = Unbounded(shape=(n, 1), dtype=torch.float32).to(self.device)
         self.done_spec = Composite(done=flag.clone(), terminated=flag.clone(), truncated=flag.clone(), shape=(n,)).to(
@@ -126,6 +136,8 @@ class NavEnv(EnvBase):
         if tensordict is not None and "_reset" in tensordict:
             mask = tensordict["_reset"].reshape(-1).cpu().numpy()
         observation = self.simulator.reset(mask)
+        if self.surroundings is not None:
+            self.surroundings.begin(observation.depth, self.simulator.poses, mask)
         depth = torch.from_numpy(observation.depth)
         if mask is None:
             self._history = depth.unsqueeze(1).repeat(1, self._history.shape[1], 1, 1)
@@ -147,6 +159,8 @@ class NavEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         moved = self.simulator.step(tensordict["action"].cpu().numpy())
+        if self.surroundings is not None:
+            self.surroundings.see(moved.depth, self.simulator.poses)
         self._history = torch.cat([self._history[:, 1:], torch.from_numpy(moved.depth).unsqueeze(1)], dim=1)
         terminated, truncated = _column(moved.terminated), _column(moved.truncated)
         return self._pack(
@@ -169,6 +183,8 @@ class NavEnv(EnvBase):
             "pose": torch.from_numpy(observation.pose),
             **others,
         }
+        if self.surroundings is not None:
+            entries["surroundings"] = torch.from_numpy(self.surroundings.nearest(self.simulator.poses))
         return TensorDict(entries, batch_size=self.batch_size, device=self.device)
 
     def maybe_reset(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -187,13 +203,18 @@ class NavEnv(EnvBase):
         self.simulator.reseed(seed)
 
     def state_dict(self, *args, **kwargs) -> dict:
-        """All that the future depends on: robots, episodes, generators, image stacks."""
-        return {"simulator": self.simulator.state_dict(), "frames": self._history.clone()}
+        """All that the future depends on: robots, episodes, generators, image stacks, memories."""
+        state = {"simulator": self.simulator.state_dict(), "frames": self._history.clone()}
+        if self.surroundings is not None:
+            state["surroundings"] = self.surroundings.state_dict()
+        return state
 
     def load_state_dict(self, state_dict: dict, *args, **kwargs) -> None:
         """Goes on exactly where ``state_dict`` was taken."""
         self.simulator.load_state_dict(state_dict["simulator"])
         self._history = state_dict["frames"].clone()
+        if self.surroundings is not None:
+            self.surroundings.load_state_dict(state_dict["surroundings"])
 
 
 def _column(values: np.ndarray) -> torch.Tensor:

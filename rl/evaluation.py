@@ -36,6 +36,7 @@ from navsim.worldsource import WorldSource, worlds_from
 from rl.config import TrainConfig
 from rl.observation import history_length, stack_of
 from rl.run import atomic_write
+from rl.surroundings import Surroundings
 
 Outcome = Literal["success", "collision", "timeout"]
 OUTCOMES: tuple[Outcome, ...] = ("success", "collision", "timeout")
@@ -381,9 +382,10 @@ def evaluate(
 
     Args:
         policy: takes a tensordict with ``depth`` uint8 ``(N, 4, H, W)``, ``heading`` float32 ``(N, 1)``, ``command``
-            float32 ``(N, 2)``, ``pose`` float32 ``(N, 3)`` and ``is_init`` bool ``(N, 1)``, true in an episode's first
-            step, and writes ``action`` ``(N,)``. What else it writes is there in the next step: its memory, one row a
-            robot. Or a ``Planner``; a path for which it has no plan counts as a timeout of no steps.
+            float32 ``(N, 2)``, if its ``in_keys`` name them ``surroundings`` float32 ``(N, 36)``, ``pose`` float32
+            ``(N, 3)`` and ``is_init`` bool ``(N, 1)``, true in an episode's first step, and writes ``action`` ``(N,)``.
+            What else it writes is there in the next step: its memory, one row a robot. Or a ``Planner``; a path for
+            which it has no plan counts as a timeout of no steps.
         world: a world, the path or name of a world file, or generated rooms such as
             ``"generate:clutter,count=200,seed=1"`` (see ``navsim.worldsource``); or several of these.
         name: of the policy, for tables; by default the policy's own ``name``, or its class's.
@@ -503,7 +505,8 @@ def _drive_paths(
     )
     observation = simulator.reset(paths=local)
     starts, goals, phases = simulator.poses.copy(), simulator.goals.copy(), simulator.phases.copy()
-    state = _first_state(observation, simulator, frame_interval)
+    memory = Surroundings(len(paths), simulator.camera) if "surroundings" in getattr(policy, "in_keys", ()) else None
+    state = _first_state(observation, simulator, memory, frame_interval)
     driven = np.ones(len(paths), dtype=bool)
     if isinstance(policy, Planner):
         plans: list[np.ndarray | None] = []
@@ -517,11 +520,11 @@ def _drive_paths(
                 advance(1)
         driven = np.array([plan is not None for plan in plans])
         state["plan"] = _padded(plans, simulator.task.max_steps)
-        episodes = _drive(_follow_plan, simulator, state, driven, lambda ended: None)
+        episodes = _drive(_follow_plan, simulator, memory, state, driven, lambda ended: None)
     else:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            episodes = _drive(policy, simulator, state, driven, advance)
+            episodes = _drive(policy, simulator, memory, state, driven, advance)
     return [
         PathResult(
             start_index=path.start_index,
@@ -608,10 +611,12 @@ def _paths_of(world: World, num_paths: int | None) -> list[Path]:
     return [Path(start, goal) for start, goal in world.paths[:num_paths]]
 
 
-def _first_state(observation: Observation, simulator: Simulator, frame_interval: int) -> TensorDict:
+def _first_state(
+    observation: Observation, simulator: Simulator, memory: Surroundings | None, frame_interval: int
+) -> TensorDict:
     count = len(observation.heading)
     images = torch.from_numpy(observation.depth).unsqueeze(1).repeat(1, history_length(frame_interval), 1, 1)
-    return TensorDict(
+    state = TensorDict(
         {
             _HISTORY: images,
             "depth": stack_of(images),
@@ -622,6 +627,10 @@ def _first_state(observation: Observation, simulator: Simulator, frame_interval:
         },
         batch_size=[count],
     )
+    if memory is not None:
+        memory.begin(observation.depth, simulator.poses)
+        state["surroundings"] = torch.from_numpy(memory.nearest(simulator.poses))
+    return state
 
 
 @dataclass
@@ -637,6 +646,7 @@ class _Episode:
 def _drive(
     policy: Callable[[TensorDictBase], TensorDictBase],
     simulator: Simulator,
+    memory: Surroundings | None,
     state: TensorDictBase,
     driven: np.ndarray,
     advance: Callable[[int], None],
@@ -645,7 +655,7 @@ def _drive(
     episodes = [_Episode() for _ in driven]
     running = np.flatnonzero(driven)  # the episode of each of the simulator's robots
     if 0 < len(running) < len(driven):
-        simulator, state = _subset(simulator, driven), state[torch.from_numpy(driven)]
+        simulator, memory, state = _subset(simulator, memory, state, driven)
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC), _evaluation_mode(policy):
         while len(running):
             state = policy(state)
@@ -662,12 +672,12 @@ def _drive(
                     collided = episode.outcome == "collision"
                     episode.bumper = collided and bool(moved.bumper[robot])
                     episode.too_near = collided and bool(moved.too_near[robot])
-            state = _next_state(state, moved, simulator)
+            state = _next_state(state, moved, simulator, memory)
             if ended.any():
                 running = running[~ended]
                 advance(int(ended.sum()))
                 if len(running):
-                    simulator, state = _subset(simulator, ~ended), state[torch.from_numpy(~ended)]
+                    simulator, memory, state = _subset(simulator, memory, state, ~ended)
     return episodes
 
 
@@ -677,18 +687,31 @@ def _outcome(moved: Transition, robot: int) -> Outcome:
     return "collision" if moved.collision[robot] else "timeout"
 
 
-def _next_state(state: TensorDictBase, moved: Transition, simulator: Simulator) -> TensorDictBase:
+def _next_state(
+    state: TensorDictBase, moved: Transition, simulator: Simulator, memory: Surroundings | None
+) -> TensorDictBase:
     images = torch.cat([state[_HISTORY][:, 1:], torch.from_numpy(moved.depth).unsqueeze(1)], dim=1)
     state[_HISTORY], state["depth"] = images, stack_of(images)
     state["heading"] = torch.from_numpy(moved.heading).unsqueeze(-1)
     state["command"] = torch.from_numpy(simulator.commands.astype(np.float32))
     state["pose"] = torch.from_numpy(moved.pose)
     state["is_init"] = torch.zeros_like(state["is_init"])
+    if memory is not None:
+        memory.see(moved.depth, simulator.poses)
+        state["surroundings"] = torch.from_numpy(memory.nearest(simulator.poses))
     return state
 
 
-def _subset(simulator: Simulator, kept: np.ndarray) -> Simulator:
-    """A simulator of those robots alone, in the middle of their episodes: finished ones cost nothing any more."""
+def _subset(
+    simulator: Simulator, memory: Surroundings | None, state: TensorDictBase, kept: np.ndarray
+) -> tuple[Simulator, Surroundings | None, TensorDictBase]:
+    """Those robots alone, in the middle of their episodes: finished ones cost nothing any more."""
+    memory = None if memory is None else memory.take(kept)
+    return _simulator_of(simulator, kept), memory, state[torch.from_numpy(kept)]
+
+
+def _simulator_of(simulator: Simulator, kept: np.ndarray) -> Simulator:
+    """A simulator of those robots alone."""
 
     def pick(value: Any) -> Any:
         if isinstance(value, dict):

@@ -7,11 +7,11 @@ The models differ in how the heading θ of the goal enters, always as (θ + π) 
 - **D3QN-I**: as a fifth image plane, the same number in every pixel.
 - **D3QN-S**: appended to the flattened features, the input of both streams.
 
-Variants see less or more (``inputs``): one of both inputs alone, which tells what the other is worth, or the robot's
-own command (v, ω) besides, appended to the features. And depth may enter as it is or inverted (``depth_scale``). The
-thesis's networks see depth divided by the greatest one, 5 m, so that the range that decides whether a robot collides,
-0.4 to 1 m, is 12% of what their first layer tells apart. Inverted, as stereo cameras and the Kinect itself measure
-it (disparity), it is 60%; docs/ablations.md tells what that is worth.
+Variants see less or more (``inputs``): one of both inputs alone, which tells what the other is worth, or besides,
+appended to the features, the robot's own command (v, ω) and the distances that it remembers around itself
+(``rl.surroundings``). And depth may enter as it is or inverted (``depth_scale``). The thesis's networks see depth
+divided by the greatest one, 5 m, so that the range that decides whether a robot collides, 0.4 to 1 m, is 12% of what
+their first layer tells apart. Inverted, as stereo cameras and the Kinect itself measure it (disparity), it is 60%.
 
 Some things are computed differently from how they are written above, and give the same numbers (the tests compare):
 
@@ -44,8 +44,12 @@ from torchrl.modules import QValueActor
 from navsim.robot import ACTIONS, NUM_ACTIONS
 from rl.convolution import ByteConvolution, Convolution, Geometry
 from rl.observation import DEPTH_AND_HEADING, NEAREST, NUM_FRAMES, DepthScale, Input, Model, check_inputs, keys_of
+from rl.surroundings import SECTORS
 
 _FASTEST = tuple(max(abs(command[axis] or 0.0) for command in ACTIONS) for axis in (0, 1))
+
+_TOUCHING = 0.2
+"""Metres from a robot's centre: what it remembers nearer counts 1, what is farther this over the distance."""
 
 STREAM_WIDTH = 512
 """Units in the hidden layer of each stream."""
@@ -178,7 +182,7 @@ class D3QN(nn.Module):
             channels, size = convolution.channels, layer.output_size
             layers.append(layer)
         self.conv1, self.conv2, self.conv3 = layers
-        appended = (model == "S") + 2 * ("command" in self.inputs)
+        appended = (model == "S") + 2 * ("command" in self.inputs) + SECTORS * ("surroundings" in self.inputs)
         self.streams = nn.Linear(channels * size[0] * size[1] + appended, 2 * STREAM_WIDTH)
         self.value = nn.Linear(STREAM_WIDTH, 1)
         self.advantage = nn.Linear(STREAM_WIDTH, NUM_ACTIONS)
@@ -218,22 +222,23 @@ class D3QN(nn.Module):
             "advantage 2": counts["advantage"],
         }
 
-    def forward(self, depth: Tensor, heading: Tensor, command: Tensor | None = None) -> Tensor:
+    def forward(self, depth: Tensor, heading: Tensor, *others: Tensor) -> Tensor:
         """Action values, ``(..., 7)``.
 
         Args:
             depth: uint8 ``(..., 4, H, W)``, oldest image first; 255 is the camera's greatest range.
             heading: float32 ``(..., 1)``, radians in (−π, π].
-            command: float32 ``(..., 2)``, the command in force, m/s and rad/s; for networks that see it.
+            others: what the network sees besides, in this order: the command in force, float32 ``(..., 2)``, m/s and
+                rad/s; distances remembered around the robot, float32 ``(..., 36)``, metres.
 
         Raises:
-            ValueError: for images of another size, or if the command is missing.
+            ValueError: for images of another size, or if there is more or less than the network sees.
         """
-        return self.head(self.hidden(depth, heading, command)).reshape(*depth.shape[:-3], NUM_ACTIONS)
+        return self.head(self.hidden(depth, heading, *others)).reshape(*depth.shape[:-3], NUM_ACTIONS)
 
-    def hidden(self, depth: Tensor, heading: Tensor, command: Tensor | None = None) -> Tensor:
+    def hidden(self, depth: Tensor, heading: Tensor, *others: Tensor) -> Tensor:
         """The hidden layers of both streams, one sample a column: ``(1024, B)``; arguments as for ``forward``."""
-        depth, scalars = self._flat(depth, heading, command)
+        depth, scalars = self._flat(depth, heading, *others)
         return self._streams(self._features(self._response(depth, self._byte_kernel()), scalars))
 
     def head(self, hidden: Tensor) -> Tensor:
@@ -244,8 +249,8 @@ class D3QN(nn.Module):
             advantage = torch.addmm(self.advantage.bias.unsqueeze(1), self.advantage.weight, hidden[STREAM_WIDTH:])
             return (value + advantage - advantage.mean(0, keepdim=True)).t()
 
-    def _flat(self, depth: Tensor, heading: Tensor, command: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """Images ``(B, 4, H, W)``, and ``(B, 1)`` or ``(B, 3)`` numbers: heading from 0 to 1, command from −1 to 1."""
+    def _flat(self, depth: Tensor, heading: Tensor, *others: Tensor) -> tuple[Tensor, Tensor]:
+        """Images ``(B, 4, H, W)``, and numbers ``(B, n)``: heading and closeness from 0 to 1, command from −1 to 1."""
         if depth.shape[-3:] != self.image_shape:
             raise ValueError(
                 f"the network is for depth images of shape {self.image_shape} (frames, height, width);"
@@ -254,10 +259,15 @@ class D3QN(nn.Module):
         depth, scalars = depth.reshape(-1, *self.image_shape), ((heading + math.pi) / (2.0 * math.pi)).reshape(-1, 1)
         if "heading" not in self.inputs:
             scalars = torch.zeros_like(scalars)
-        if "command" in self.inputs:
-            if command is None:
-                raise ValueError("the network sees the robot's command, too, but got none: (depth, heading, command)")
-            scalars = torch.cat([scalars, command.reshape(-1, 2) / self._fastest], dim=1)
+        keys = keys_of(self.inputs)
+        if len(others) != len(keys) - 2:
+            raise ValueError(f"the network sees {', '.join(keys)}, in this order; got {2 + len(others)} of them")
+        seen = dict(zip(keys[2:], others, strict=True))
+        if "command" in seen:
+            scalars = torch.cat([scalars, seen["command"].reshape(-1, 2) / self._fastest], dim=1)
+        if "surroundings" in seen:
+            closeness = _TOUCHING / seen["surroundings"].reshape(-1, SECTORS).clamp(min=_TOUCHING)
+            scalars = torch.cat([scalars, closeness], dim=1)
         return depth, scalars
 
     def _byte_kernel(self) -> Tensor:
@@ -329,7 +339,7 @@ def hidden_of_update(
     Args:
         online: the network that learns.
         target: the network that tells what s' is worth.
-        observation: what they see of B states s: depth, heading, and where they see it, the command.
+        observation: what they see of B states s, in the order of ``rl.observation.keys_of``.
         next_observation: of as many states s'.
         double: whether the online network judges s' as well.
 
@@ -372,8 +382,8 @@ def make_q_actor(
 ) -> QValueActor:
     """The greedy policy of a new network.
 
-    It reads ``depth``, ``heading`` and, if it sees it, ``command``, and writes ``action_value``, ``action`` and
-    ``chosen_action_value``.
+    It reads ``depth``, ``heading`` and, if it sees them, ``command`` and ``surroundings``, and writes ``action_value``,
+    ``action`` and ``chosen_action_value``.
 
     Args:
         model: ``"I"`` or ``"S"``; see ``D3QN``.

@@ -1,4 +1,4 @@
-"""What a network can see: depth images some steps apart, the heading of the goal, and the robot's own command."""
+"""What a network can see: depth images some steps apart, the goal's heading, the robot's command and surroundings."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ if TYPE_CHECKING:  # settings are checked before what takes long to import is im
 Model = Literal["I", "S"]
 """Where the heading enters: as an image plane, or as a scalar beside the features."""
 
-Input = Literal["depth", "heading", "command"]
-"""Depth images, the heading of the goal, and the command (v, ω) in force."""
+Input = Literal["depth", "heading", "command", "surroundings"]
+"""Depth images, the heading of the goal, the command (v, ω) in force, and what the robot remembers of what stood around
+it (``rl.surroundings``)."""
 
 DepthScale = Literal["linear", "inverse"]
 """How depth enters the first convolution: as a share of the greatest depth, or ``NEAREST`` over it."""
@@ -37,8 +38,12 @@ def check_inputs(inputs: Collection[str]) -> None:
 
 
 def keys_of(inputs: Collection[Input]) -> list[str]:
-    """What a network with these inputs is called with: an input that it does not see is a zero to it."""
-    return ["depth", "heading", *(["command"] if "command" in inputs else [])]
+    """What a network with these inputs is called with, in order; images or heading that are not among them are ignored.
+
+    >>> keys_of(["heading", "surroundings"])
+    ['depth', 'heading', 'surroundings']
+    """
+    return ["depth", "heading", *(key for key in ("command", "surroundings") if key in inputs)]
 
 
 def history_length(interval: int) -> int:

@@ -9,7 +9,7 @@ puts image numbers in place of images on the way in and looks the images up on t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from torchrl.data.replay_buffers.storages import Storage
 from torchrl.envs.transforms import Compose, MultiStepTransform, Transform
 
 from navsim.robot import MIRRORED_ACTIONS
-from rl.observation import history_length, keys_of
+from rl.observation import DEPTH_AND_HEADING, Input, history_length, keys_of
 
 PRIORITY_EXPONENT = 0.3
 """α of prioritised replay: 0.6 in Schaul et al. 2016 (arXiv 1511.05952), halved for squared errors."""
@@ -41,7 +41,7 @@ def make_replay(
     gamma: float = 0.99,
     prioritized: bool = False,
     mirror: bool = False,
-    command: bool = False,
+    inputs: Collection[Input] = DEPTH_AND_HEADING,
     frame_interval: int = 1,
     generator: torch.Generator | None = None,
 ) -> TensorDictReplayBuffer:
@@ -49,9 +49,9 @@ def make_replay(
 
     ``extend`` takes what one collector yields, batches ``(N, T)`` of N environments and T steps, in order; ``sample``
     returns ``batch_size`` transitions with the keys ``depth``, ``heading``, ``action``, ``steps_to_next_obs``,
-    ``index`` and ``next``: ``depth``, ``heading``, ``reward``, ``done``, ``terminated``; with ``command`` also those of
-    both states; if prioritised, also ``priority_weight``. The last ``n_step`` steps of each environment wait until the
-    steps after them are known.
+    ``index`` and ``next``: ``depth``, ``heading``, ``reward``, ``done``, ``terminated``; what ``inputs`` names besides,
+    of both states; if prioritised, also ``priority_weight``. The last ``n_step`` steps of each environment wait until
+    the steps after them are known.
 
     Args:
         capacity: transitions kept; a new one replaces the oldest.
@@ -64,7 +64,7 @@ def make_replay(
         gamma: discount of the sum, a step.
         prioritized: whether large errors are sampled more often (``update_tensordict_priority`` after the loss).
         mirror: whether half of each sample is mirrored, see ``MirroredHalf``.
-        command: whether the robots' commands are kept, too.
+        inputs: what the network sees; what is among them besides depth and heading is kept, too.
         frame_interval: of the environments: steps from one image of a stack to the next.
         generator: of the sampled indices; by default, one seeded from torch's global generator.
 
@@ -94,7 +94,7 @@ def make_replay(
         generator = torch.Generator().manual_seed(int(torch.randint(2**63 - 1, ())))
     storage = _ZeroedStorage(capacity)
     frames = SharedFrames(
-        storage, height, width, n_step=n_step, gamma=gamma, command=command, frame_interval=frame_interval
+        storage, height, width, n_step=n_step, gamma=gamma, inputs=inputs, frame_interval=frame_interval
     )
     transforms: list[Transform] = [frames]
     if mirror:
@@ -227,7 +227,7 @@ class SharedFrames(MultiStepTransform):
         width: of the images, pixels.
         n_step: rewards summed into one.
         gamma: discount a step.
-        command: whether the robots' commands are kept.
+        inputs: what is kept besides depth and heading.
         frame_interval: steps from one image of a stack to the next. From 2 on, where a stream of steps begins or
             breaks, all images of the stack must be the same one, as ``NavEnv`` has them at an episode's beginning:
             those in between are not known.
@@ -241,11 +241,11 @@ class SharedFrames(MultiStepTransform):
         *,
         n_step: int,
         gamma: float,
-        command: bool = False,
+        inputs: Collection[Input] = DEPTH_AND_HEADING,
         frame_interval: int = 1,
     ) -> None:
         super().__init__(n_step, gamma, done_keys=[])
-        observed = keys_of(("depth", "heading", *(("command",) if command else ())))
+        observed = keys_of(inputs)
         self._keys = (*observed, "action", *(("next", key) for key in (*observed, "reward", "done", "terminated")))
         self._interval = frame_interval
         self._storage = storage
@@ -450,9 +450,9 @@ _MIRRORED_COMMAND = torch.tensor([1.0, -1.0])
 class MirroredHalf(Transform):
     """Replaces half of each sample by its mirror image.
 
-    Left and right swapped, a world is as good a world, and its best action is the mirrored one: images are flipped,
-    headings and turning speeds negated, left turns become right turns. Samples are drawn independently, so which half
-    does not matter.
+    Left and right swapped, a world is as good a world, and its best action is the mirrored one: images and what is
+    remembered around the robot are flipped, headings and turning speeds negated, left turns become right turns. Samples
+    are drawn independently, so which half does not matter.
     """
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -464,6 +464,8 @@ class MirroredHalf(Transform):
             part["heading"] = torch.cat([-part["heading"][:half], part["heading"][half:]])
             if "command" in part:
                 part["command"] = torch.cat([part["command"][:half] * _MIRRORED_COMMAND, part["command"][half:]])
+            if "surroundings" in part:
+                part["surroundings"] = torch.cat([part["surroundings"][:half].flip(-1), part["surroundings"][half:]])
         action = tensordict["action"]
         tensordict["action"] = torch.cat([_MIRRORED_ACTIONS[action[:half]], action[half:]])
         return tensordict

@@ -37,6 +37,7 @@ from rl.figures import (
 from rl.observation import NUM_FRAMES, history_length
 from rl.policies import load_policy
 from rl.run import Run, RunError, atomic_write
+from rl.surroundings import remembered_at_end
 
 
 def write_report(run: Run) -> Path:
@@ -273,6 +274,10 @@ def _depth_stack(actor: QValueActor, config: TrainConfig, world: World, path: Pa
         },
         batch_size=[1],
     )
+    if "surroundings" in config.inputs:
+        driven = np.arange(step + 1)
+        remembered = remembered_at_end(_ideal_images(config, world, path, driven), path.trajectory[driven], camera)
+        observation["surroundings"] = torch.from_numpy(remembered)
     with torch.no_grad():
         q_values = actor(observation)["action_value"][0].numpy()
     figure = new_figure(10.0, 5.0)

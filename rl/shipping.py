@@ -24,7 +24,12 @@ PLACES: tuple[tuple[str, str, int | None], ...] = (
 )
 """Where a policy is measured: what the card calls it, the world, and how many of its paths; None: all."""
 
-_SEES = {"depth": "four depth images", "heading": "the goal's direction", "command": "its own command (v, ω)"}
+_SEES = {
+    "depth": "four depth images",
+    "heading": "the goal's direction",
+    "command": "its own command (v, ω)",
+    "surroundings": "what it remembers of what stood around it (odometry)",
+}
 
 
 def ship(

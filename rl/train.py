@@ -111,7 +111,7 @@ def _train(config: TrainConfig, run: Run, resume: bool, console: Console) -> Run
         gamma=config.gamma,
         mirror=config.mirror,
         prioritized=config.prioritized,
-        command="command" in config.inputs,
+        inputs=config.inputs,
         frame_interval=config.frame_interval,
     )
     policy = explorer(learner.actor, env, config)
@@ -448,6 +448,7 @@ def _probe_states(worlds: Sequence[World], config: TrainConfig) -> TensorDictBas
         robot=config.robot,
         sensor=config.sensor,
         frame_interval=config.frame_interval,
+        surroundings="surroundings" in config.inputs,
         seed=0,
     )
     with torch.random.fork_rng():

@@ -34,7 +34,7 @@ def pad_as_tensorflow(images: torch.Tensor, kernel: tuple[int, int], stride: int
 
 
 def plain_action_values(
-    network: D3QN, depth: torch.Tensor, heading: torch.Tensor, command: torch.Tensor | None = None
+    network: D3QN, depth: torch.Tensor, heading: torch.Tensor, *others: torch.Tensor
 ) -> torch.Tensor:
     """Q as design and thesis define it: images from 0 to 1, a real heading plane, two separate streams."""
     images = depth.float() / 255
@@ -50,8 +50,9 @@ def plain_action_values(
     features = torch.stack([image.permute(1, 2, 0).flatten() for image in images])
     if network.model == "S":
         features = torch.cat([features, angle], dim=1)
-    if command is not None:
-        features = torch.cat([features, command / torch.tensor([0.4, math.pi / 4])], dim=1)
+    for other in others:
+        scaled = other / torch.tensor([0.4, math.pi / 4]) if other.shape[1] == 2 else 0.2 / other.clamp(min=0.2)
+        features = torch.cat([features, scaled], dim=1)
     weight, bias = network.streams.weight, network.streams.bias
     value = network.value(F.relu(F.linear(features, weight[:512], bias[:512])))
     advantage = network.advantage(F.relu(F.linear(features, weight[512:], bias[512:])))
@@ -122,7 +123,17 @@ def test_action_values_and_gradients_are_those_of_the_plain_definition(model, he
 
 
 @pytest.mark.parametrize("model", ["I", "S"])
-@pytest.mark.parametrize("inputs", [("depth",), ("heading",), ("depth", "heading", "command"), ("heading", "command")])
+@pytest.mark.parametrize(
+    "inputs",
+    [
+        ("depth",),
+        ("heading",),
+        ("depth", "heading", "command"),
+        ("heading", "command"),
+        ("depth", "heading", "surroundings"),
+        ("surroundings", "command", "depth", "heading"),
+    ],
+)
 @pytest.mark.parametrize("depth_scale", ["linear", "inverse"])
 def test_variants_see_what_they_are_said_to(model, inputs, depth_scale):
     torch.manual_seed(0)
@@ -131,23 +142,26 @@ def test_variants_see_what_they_are_said_to(model, inputs, depth_scale):
         parameter.data.add_(0.05 * torch.randn_like(parameter))
     depth, heading = observations(5, height=33, width=90)
     command = torch.stack([torch.rand(5) * 0.4, (torch.rand(5) * 2 - 1) * math.pi / 4], dim=1)
-    seen = (depth, heading, command) if "command" in inputs else (depth, heading)
+    given = {"depth": depth, "heading": heading, "command": command, "surroundings": 2.0 * torch.rand(5, 36)}
+    names = [name for name in given if name in inputs or name in ("depth", "heading")]
+    seen = [given[name] for name in names]
 
     values = network(*seen)
 
     torch.testing.assert_close(values, plain_action_values(network, *seen), rtol=1e-4, atol=1e-4)
-    others = [observations(5, height=33, width=90)[i] for i in range(2)] + [command.flip(0)]
-    for index, name in enumerate(("depth", "heading", "command")[: len(seen)]):
-        changed = network(*(others[i] if i == index else value for i, value in enumerate(seen)))
+    for index, name in enumerate(names):
+        changed = network(*(value.flip(0) if i == index else value for i, value in enumerate(seen)))
         assert torch.equal(changed, values) == (name not in inputs)
     actor = make_q_actor(model, 33, 90, inputs, depth_scale)
-    out = actor(TensorDict({"depth": depth, "heading": heading, "command": command}, [5]))
+    out = actor(TensorDict(given, [5]))
     torch.testing.assert_close(out["action_value"], actor.module[0].module(*seen))
 
 
 def test_a_missing_command_and_unknown_inputs_are_told():
-    with pytest.raises(ValueError, match="sees the robot's command, too"):
+    with pytest.raises(ValueError, match="sees depth, heading, command, in this order; got 2 of them"):
         D3QN("I", 10, 14, ("depth", "command"))(*observations(2, height=10, width=14))
+    with pytest.raises(ValueError, match="sees depth, heading, in this order; got 3 of them"):
+        D3QN("I", 10, 14)(*observations(2, height=10, width=14), torch.zeros(2, 36))
     for inputs in ((), ("command",), ("depth", "sonar")):
         with pytest.raises(ValueError, match="inputs must be some of depth, heading, command"):
             D3QN("I", 10, 14, inputs)

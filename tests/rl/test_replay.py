@@ -43,25 +43,31 @@ class Environments:
     def _commands(self) -> np.ndarray:
         return self.random.uniform(-1, 1, (self.count, 2)).astype(np.float32)
 
+    def _surroundings(self) -> np.ndarray:
+        return self.random.uniform(0, 2, (self.count, 36)).astype(np.float32)
+
     def reset(self) -> None:
         """Begins new episodes everywhere, without a word to whoever records."""
         self.images = np.repeat(self._images(), 3 * self.interval + 1, axis=1)
         self.heading, self.command = self._headings(), self._commands()
+        self.surroundings = self._surroundings()
 
     def _step(self) -> dict:
         terminated, truncated = self.random.random((2, self.count, 1)) < self.end_probability / 2
         done = terminated | truncated
         next_images = np.concatenate([self.images[:, 1:], self._images()], axis=1)
-        next_heading, next_command = self._headings(), self._commands()
+        next_heading, next_command, next_surroundings = self._headings(), self._commands(), self._surroundings()
         step = {
             "depth": self.images[:, :: self.interval],
             "heading": self.heading,
             "command": self.command,
+            "surroundings": self.surroundings,
             "action": self.random.integers(0, 7, self.count),
             "next": {
                 "depth": next_images[:, :: self.interval],
                 "heading": next_heading,
                 "command": next_command,
+                "surroundings": next_surroundings,
                 "reward": self.random.normal(size=(self.count, 1)).astype(np.float32),
                 "done": done,
                 "terminated": terminated,
@@ -72,6 +78,7 @@ class Environments:
         self.images = np.where(done[..., None, None], self.images, next_images)
         self.heading = np.where(done, self.heading, next_heading)
         self.command = np.where(done, self.command, next_command)
+        self.surroundings = np.where(done, self.surroundings, next_surroundings)
         return step
 
     def rollout(self, steps: int) -> TensorDict:
@@ -82,8 +89,9 @@ KEYS = [
     "depth",
     "heading",
     "command",
+    "surroundings",
     "action",
-    *(("next", key) for key in ("depth", "heading", "command", "reward", "done", "terminated")),
+    *(("next", key) for key in ("depth", "heading", "command", "surroundings", "reward", "done", "terminated")),
 ]
 
 
@@ -146,11 +154,11 @@ def assert_same_content(data: TensorDict, expected: TensorDict) -> None:
     end_probability=st.sampled_from([0.0, 0.2, 0.9]),
     shades=st.sampled_from([1, 2, 256]),
     interval=st.integers(1, 3),
-    command=st.booleans(),
+    others=st.sets(st.sampled_from(["command", "surroundings"])),
     batches=st.lists(st.tuples(st.integers(1, 6), st.booleans(), st.booleans()), min_size=1, max_size=10),
 )
 def test_content_is_that_of_a_replay_that_stores_everything(
-    seed, environments, n_step, capacity, end_probability, shades, interval, command, batches
+    seed, environments, n_step, capacity, end_probability, shades, interval, others, batches
 ):
     """Also where the ring wraps, where images are equal by chance, and where the collector is reset."""
     world = Environments(environments, seed=seed, end_probability=end_probability, shades=shades, interval=interval)
@@ -161,7 +169,7 @@ def test_content_is_that_of_a_replay_that_stores_everything(
         batch_size=5,
         n_step=n_step,
         gamma=GAMMA,
-        command=command,
+        inputs=("depth", "heading", *others),
         frame_interval=interval,
     )
     naive = NaiveReplay(capacity, n_step)
@@ -177,7 +185,7 @@ def test_content_is_that_of_a_replay_that_stores_everything(
         batch.zero_()  # collectors may reuse their memory
         assert len(replay) == len(naive.ring)
         if len(replay):
-            assert ("command" in replay[:]) == command
+            assert {"command", "surroundings"} & set(replay[:].keys()) == others
             assert_same_content(replay[:], naive.read())
     if len(replay):
         sample = replay.sample()
@@ -205,7 +213,7 @@ class AnyUse(RuleBasedStateMachine):
             n_step=n_step,
             gamma=GAMMA,
             prioritized=prioritized,
-            command=True,
+            inputs=("depth", "heading", "command", "surroundings"),
             frame_interval=interval,
         )
         self.replay, self.naive = self.make(), NaiveReplay(capacity, n_step)
@@ -424,7 +432,7 @@ def test_half_of_a_mirrored_sample_is_the_mirror_image():
             WIDTH,
             batch_size=9,
             mirror=mirror,
-            command=True,
+            inputs=("depth", "heading", "command", "surroundings"),
             generator=torch.Generator().manual_seed(3),
         )
         for mirror in (False, True)
@@ -439,6 +447,7 @@ def test_half_of_a_mirrored_sample_is_the_mirror_image():
             part["depth"][i] = torch.from_numpy(np.flip(part["depth"][i].numpy(), axis=-1).copy())
             part["heading"][i] *= -1
             part["command"][i] *= torch.tensor([1.0, -1.0])
+            part["surroundings"][i] = torch.from_numpy(part["surroundings"][i].numpy()[::-1].copy())
     assert (sample == expected).all()
     assert_same_content(mirrored[:][20:], plain[:][20:])
     assert (mirrored.storage[:] == plain.storage[:]).all()  # what is stored stays as it is

@@ -47,7 +47,7 @@ def test_a_run_leaves_what_it_promises(run):
 
 @pytest.mark.parametrize(
     "settings",
-    [{}, {"prioritized": True}, {"inputs": ("depth", "heading", "command"), "frame_interval": 3}],
+    [{}, {"prioritized": True}, {"inputs": ("depth", "heading", "command", "surroundings"), "frame_interval": 3}],
     ids=["evenly", "prioritized", "more-inputs"],
 )
 def test_the_same_seed_gives_the_same_run(tmp_path, settings):
