@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import statistics
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -51,6 +52,8 @@ class Failure(NamedTuple):
     """What came too near, metres; None where nothing did."""
     seen: int
     """In how many of the last four images before it was in view."""
+    ago: int | None = None
+    """Steps from when it was last in view to the end; None where it never was."""
 
 
 def explain(path: PathResult, world: World, camera: DepthCamera, frame_interval: int = 1) -> Failure:
@@ -74,11 +77,12 @@ def explain(path: PathResult, world: World, camera: DepthCamera, frame_interval:
     row, column = rows[middlemost], columns[middlemost]
     depth = float(planar[row, column])
     point = _to_world(end, np.array([depth + camera.mount_x, depth * camera.column_slopes[column] + camera.mount_y]))
-    before = len(path.trajectory) - 2 - frame_interval * np.arange(NUM_FRAMES)
-    seen = _in_view(point, path.trajectory[np.maximum(before, 0)], world, camera)
+    in_view = _in_view(point, path.trajectory[-2::-1], world, camera)  # the last image first
+    seen = in_view[np.minimum(frame_interval * np.arange(NUM_FRAMES), len(in_view) - 1)]
+    ago = int(in_view.argmax()) + 1 if in_view.any() else None
     from_side = min(column, camera.width - 1 - column)
     kind = "unseen" if not seen.any() else "edge" if from_side < _EDGE * camera.width else "ahead"
-    return Failure(path, kind, (float(point[0]), float(point[1])), int(seen.sum()))
+    return Failure(path, kind, (float(point[0]), float(point[1])), int(seen.sum()), ago)
 
 
 def _to_world(pose: np.ndarray, point: np.ndarray) -> np.ndarray:
@@ -159,11 +163,13 @@ def write_failures(
     if failures:
         save_figure(draw_failures(failures[:_MOST_DRAWN], worlds), picture)
     with atomic_write(page) as file:
-        file.write(_page(policy, world, result, failures, os.path.relpath(picture, page.parent)))
+        file.write(
+            _page(policy, world, result, failures, os.path.relpath(picture, page.parent), config.task.control_period)
+        )
     return result
 
 
-def _page(policy: str, world: str, result: Evaluation, failures: Sequence[Failure], picture: str) -> str:
+def _page(policy: str, world: str, result: Evaluation, failures: Sequence[Failure], picture: str, period: float) -> str:
     low, high = result.interval("success")
     lines = [
         f"# What {policy} still misses",
@@ -171,12 +177,13 @@ def _page(policy: str, world: str, result: Evaluation, failures: Sequence[Failur
         f"`{world}`: {len(result.paths) - len(failures):,} of {len(result.paths):,} goals reached "
         f"({100 * low:.0f}–{100 * high:.0f}% with 95% confidence), {len(failures)} paths failed.",
         "",
-        "| kind | paths | |",
-        "|---|---|---|",
+        "| kind | paths | last in view, s before the end: median | |",
+        "|---|---|---|---|",
     ]
     for kind, sentence in KINDS.items():
-        if count := sum(failure.kind == kind for failure in failures):
-            lines.append(f"| {kind} | {count} | {sentence} |")
+        if own := [failure for failure in failures if failure.kind == kind]:
+            ago = [period * failure.ago for failure in own if failure.ago is not None]
+            lines.append(f"| {kind} | {len(own)} | {f'{statistics.median(ago):.1f}' if ago else ''} | {sentence} |")
     if failures:
         drawn = f"The first {_MOST_DRAWN} of them" if len(failures) > _MOST_DRAWN else "All of them"
         lines += [

@@ -49,7 +49,7 @@ def test_what_was_ahead_all_the_time_was_seen():
     world = room({"at": [0.5, 0.0], "size": [0.3, 1.0], "height": 1.0})
     failure = explain(driven(world, [STRAIGHT]), world, CAMERA)
     assert failure.kind == "ahead"
-    assert failure.seen == 4
+    assert (failure.seen, failure.ago) == (4, 1)
     assert failure.at[0] == pytest.approx(0.35, abs=0.02)  # the box's near face
     assert abs(failure.at[1]) < 0.4
 
@@ -61,6 +61,7 @@ def test_what_a_robot_turns_into_was_unseen():
     failures = [explain(path, world, CAMERA) for path in turning_at if path.too_near]
     failure = next(failure for failure in failures if failure.kind == "unseen")
     assert failure.seen == 0
+    assert 4 < failure.ago < 20  # it left the view 30° to the side, and there is a turn between then and now
     np.testing.assert_allclose(failure.at, (-0.45, 0.45), atol=0.25)
 
 
@@ -69,7 +70,7 @@ def test_a_touch_beside_the_camera_s_view_and_a_timeout_are_their_own_kinds():
     touched = driven(grazing, [STRAIGHT], Task(collision_depth=0.0))
     assert explain(touched, grazing, CAMERA).kind == "touched"
     slow = driven(room(), [STRAIGHT], Task(max_steps=3))
-    assert explain(slow, room(), CAMERA) == (slow, "timeout", None, 0)
+    assert explain(slow, room(), CAMERA) == (slow, "timeout", None, 0, None)
 
 
 def test_images_further_apart_reach_further_back():
@@ -91,7 +92,7 @@ def test_the_page_counts_every_failure_and_explains_its_kind(tmp_path):
     assert "0 of 1 goals reached" in text
     (row,) = [line for line in text.splitlines() if line.startswith("| ") and "paths" not in line]
     kind = row.split("|")[1].strip()
-    assert row == f"| {kind} | 1 | {KINDS[kind]} |"
+    assert row == f"| {kind} | 1 | 0.2 | {KINDS[kind]} |"
     assert "![the ends of the failed paths](images/failures.png)" in text
     assert picture.stat().st_size > 3_000
 
