@@ -59,6 +59,12 @@ BASE: dict[str, Any] = {"num_threads": 1, "report": False}
 """What all rows share, in place of the preset "fast"'s settings."""
 
 
+_REMEMBERING: dict[str, Any] = {
+    "inputs": ("depth", "heading", "command", "surroundings"),
+    "depth_scale": "inverse",
+}
+
+
 class Row(NamedTuple):
     """One way to train."""
 
@@ -78,20 +84,17 @@ class Row(NamedTuple):
 ROWS: dict[str, Row] = {
     "base": Row("preset fast, D3QN-I, in 400 generated rooms", {}),
     "S": Row("D3QN-S", {"model": "S"}),
-    "linear-depth": Row("sees depth itself, as in the thesis, not its inverse", {"depth_scale": "linear"}),
+    "inverse": Row("sees depth inverted", {"depth_scale": "inverse"}),
+    "S-inverse": Row("D3QN-S, sees depth inverted", {"model": "S", "depth_scale": "inverse"}),
     "command": Row("sees its command (v, ω), too", {"inputs": ("depth", "heading", "command")}),
     "apart": Row("images three steps apart", {"frame_interval": 3}),
     "command-apart": Row(
         "sees its command, and images three steps apart",
         {"inputs": ("depth", "heading", "command"), "frame_interval": 3},
     ),
-    "surroundings": Row(
-        "remembers what stood around it, and sees its command",
-        {"inputs": ("depth", "heading", "command", "surroundings")},
-    ),
+    "surroundings": Row("sees depth inverted, its command, and what it remembers around it", _REMEMBERING),
     "S-surroundings": Row(
-        "D3QN-S, remembers what stood around it, and sees its command",
-        {"model": "S", "inputs": ("depth", "heading", "command", "surroundings")},
+        "D3QN-S, sees depth inverted, its command, and what it remembers around it", {"model": "S", **_REMEMBERING}
     ),
     "S-command-apart": Row(
         "D3QN-S, sees its command, and images three steps apart",

@@ -51,13 +51,6 @@ def test_settings_survive_json(config):
     assert TrainConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
 
 
-def test_settings_from_before_the_scale_of_depth_could_be_chosen_have_the_one_there_was():
-    assert PRESETS["fast"].depth_scale == "inverse"
-    before = PRESETS["fast"].to_dict()
-    del before["depth_scale"]
-    assert TrainConfig.from_dict(before).depth_scale == "linear"
-
-
 def test_every_setting_belongs_to_one_group_of_the_help():
     groups = [Experiment, Collection, Learning, Exploration, Records]
     grouped = [setting.name for group in groups for setting in dataclasses.fields(group)]
