@@ -87,7 +87,10 @@ def test_every_setting_belongs_to_one_group_of_the_help():
         ),
         ({"randomization": Randomization(noise_level=(0.0, 2.0))}, "changes nothing without noise"),
         ({"frame_interval": 0}, "--frame-interval must be positive"),
-        ({"inputs": ()}, "--inputs must be some of depth, heading, command, depth or heading among them; got none"),
+        (
+            {"inputs": ()},
+            "--inputs must be some of depth, heading, command, surroundings, depth or heading among them; got none",
+        ),
         ({"inputs": ("command",)}, "depth or heading among them; got command"),
         ({"inputs": ("depth", "sonar")}, "--inputs must be some of depth, heading, command"),
         ({"max_grad_norm": -1.0}, "--max-grad-norm must be positive or None"),
