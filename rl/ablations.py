@@ -65,6 +65,11 @@ _REMEMBERING: dict[str, Any] = {
 }
 
 
+_FAR: dict[str, Any] = {"depth_scale": "inverse", "n_step": 12, "epsilon_end": 0.1}
+"""What a robot runs into has left its view up to 17 steps before: returns that reach as far need no value in between,
+which cannot tell what is out of view from what is not there. They must not be full of random actions."""
+
+
 class Row(NamedTuple):
     """One way to train."""
 
@@ -86,6 +91,10 @@ ROWS: dict[str, Row] = {
     "S": Row("D3QN-S", {"model": "S"}),
     "inverse": Row("sees depth inverted", {"depth_scale": "inverse"}),
     "S-inverse": Row("D3QN-S, sees depth inverted", {"model": "S", "depth_scale": "inverse"}),
+    "inverse-12-steps": Row("sees depth inverted; twelve-step returns, fewer random actions", _FAR),
+    "S-inverse-12-steps": Row(
+        "D3QN-S, sees depth inverted; twelve-step returns, fewer random actions", {"model": "S", **_FAR}
+    ),
     "command": Row("sees its command (v, ω), too", {"inputs": ("depth", "heading", "command")}),
     "apart": Row("images three steps apart", {"frame_interval": 3}),
     "command-apart": Row(
@@ -93,6 +102,10 @@ ROWS: dict[str, Row] = {
         {"inputs": ("depth", "heading", "command"), "frame_interval": 3},
     ),
     "surroundings": Row("sees depth inverted, its command, and what it remembers around it", _REMEMBERING),
+    "surroundings-12-steps": Row(
+        "sees depth inverted, its command, and what it remembers around it; twelve-step returns, fewer random actions",
+        {**_REMEMBERING, **_FAR},
+    ),
     "S-surroundings": Row(
         "D3QN-S, sees depth inverted, its command, and what it remembers around it", {"model": "S", **_REMEMBERING}
     ),
