@@ -176,3 +176,14 @@ def test_robots_that_begin_anew_forget_and_the_others_do_not():
     some.see(images[5][[0, 2]], poses[5][[0, 2]])
     memory.see(images[5], poses[5])
     np.testing.assert_array_equal(some.nearest(poses[5][[0, 2]]), memory.nearest(poses[5])[[0, 2]])
+
+
+def test_what_is_free_is_not_remembered():
+    """Neither as far as the camera sees, nor of the episode before."""
+    shortsighted = DepthCamera(width=23, height=16, max_range=1.5)
+    pose, near = np.zeros((1, 3)), np.full((1, 16, 23), 1.0, np.float32)
+    memory = Surroundings(1, shortsighted)
+    memory.begin(near, pose)
+    assert memory.nearest(pose).min() < 1.0
+    memory.begin(np.full_like(near, 1.5), pose)
+    assert memory.nearest(pose).min() == REACH
