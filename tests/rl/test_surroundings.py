@@ -176,6 +176,7 @@ def test_robots_that_begin_anew_forget_and_the_others_do_not():
     some.see(images[5][[0, 2]], poses[5][[0, 2]])
     memory.see(images[5], poses[5])
     np.testing.assert_array_equal(some.nearest(poses[5][[0, 2]]), memory.nearest(poses[5])[[0, 2]])
+    np.testing.assert_array_equal(some.state_dict()["points"], memory.state_dict()["points"][[0, 2]])
 
 
 def test_what_is_free_is_not_remembered():
