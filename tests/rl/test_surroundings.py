@@ -188,3 +188,39 @@ def test_what_is_free_is_not_remembered():
     assert memory.nearest(pose).min() < 1.0
     memory.begin(np.full_like(near, 1.5), pose)
     assert memory.nearest(pose).min() == REACH
+
+
+def test_only_the_robots_that_begin_anew_forget_in_an_environment():
+    env = NavEnv(World.from_dict(ROOM), 3, camera=CAMERA, surroundings=True, seed=1)
+    state = env.reset()
+    for _ in range(3):
+        state = env.step(state.set("action", torch.tensor([2, 2, 2])))["next"]
+    before = state["surroundings"].clone()
+    state["_reset"] = torch.tensor([[False], [True], [False]])
+    after = env.reset(state)["surroundings"]
+    assert torch.equal(after[[0, 2]], before[[0, 2]])
+    assert not torch.equal(after[1], before[1])
+
+
+def test_a_robot_keeps_its_memory_when_others_have_finished():
+    """Driven together or alone, it is told the same."""
+    seen = {}
+
+    class Look:
+        in_keys = ("depth", "surroundings")
+
+        def __call__(self, state):
+            seen.setdefault(len(state), []).append(state["surroundings"].clone())
+            return state.set("action", torch.full(state.batch_size, 4))
+
+    near, far = {"at": [2.2, -2.5], "yaw_deg": 0}, {"at": [-2.5, 0.2], "yaw_deg": 10}  # the first hits the wall soon
+    for starts in ([near, far], [far]):
+        world = World.from_dict({**ROOM, "starts": starts, "goals": [[3, 3]]})
+        paths = evaluate(Look(), world, camera=CAMERA).paths
+    assert 0 < len(seen[2]) < paths[0].steps
+    alone = seen[1][-paths[0].steps :]  # of the second evaluation
+    after_the_end_of_the_other = seen[1][: -paths[0].steps]
+    assert len(seen[2]) + len(after_the_end_of_the_other) == len(alone)
+    together = [state[1:] for state in seen[2]] + after_the_end_of_the_other
+    for one, other in zip(together, alone, strict=True):
+        torch.testing.assert_close(one, other, atol=1e-6, rtol=0)
