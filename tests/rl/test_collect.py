@@ -164,11 +164,12 @@ class FailingPolicy(TensorDictModuleBase):
 
 
 def test_a_background_collector_goes_on_by_itself_and_its_process_is_replaced_when_it_dies_or_hangs(monkeypatch):
-    config = replace(CONFIG, collector="async", epsilon_start=0.0, epsilon_end=0.0, worker_timeout=4.0)
+    inputs = ("depth", "heading", "surroundings")
+    config = replace(CONFIG, collector="async", inputs=inputs, epsilon_start=0.0, epsilon_end=0.0, worker_timeout=4.0)
     names: list[str] = []
     monkeypatch.setattr(SemLock, "_make_name", staticmethod(note_semaphores(names)))
     env = make_env(config)
-    actor = make_q_actor("I", 12, 20)
+    actor = make_q_actor("I", 12, 20, inputs)
     told: list[str] = []
     collector = make_collector(env, explorer(actor, env, config), config, total_steps=3200, replaced=told.append)
     (process,) = collector.procs
@@ -183,7 +184,8 @@ def test_a_background_collector_goes_on_by_itself_and_its_process_is_replaced_wh
         assert [batch.shape for batch in batches] == [(4, 8)] * 12
         for earlier, later in itertools.pairwise(batches):
             goes_on = ~earlier["next", "done"][:, -1, 0]
-            assert (earlier["next", "depth"][goes_on, -1] == later["depth"][goes_on, 0]).all()
+            for key in ("depth", "surroundings"):
+                assert (earlier["next", key][goes_on, -1] == later[key][goes_on, 0]).all()
         assert not (batches[0]["action"] == 6).all()
         assert (batches[-1]["action"] == 6).all()
         process.kill()
