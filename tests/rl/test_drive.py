@@ -20,7 +20,8 @@ from rl.run import Run
 @pytest.fixture
 def run(tmp_path):
     torch.manual_seed(0)
-    run = Run.create(TrainConfig(camera=DepthCamera(width=14, height=10), out=tmp_path / "run"))
+    inputs = ("depth", "heading", "command", "surroundings")
+    run = Run.create(TrainConfig(inputs=inputs, camera=DepthCamera(width=14, height=10), out=tmp_path / "run"))
     run.save_policy("policy", make_actor(run.config).state_dict())
     return run
 
