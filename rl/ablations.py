@@ -109,6 +109,13 @@ ROWS: dict[str, Row] = {
     "S-surroundings": Row(
         "D3QN-S, sees depth inverted, its command, and what it remembers around it", {"model": "S", **_REMEMBERING}
     ),
+    "surroundings-short": Row(
+        "as surroundings, 100,000 steps", {**_REMEMBERING, "total_steps": 100_000, "eval_interval": 12_500}
+    ),
+    "S-surroundings-short": Row(
+        "as S-surroundings, 100,000 steps",
+        {"model": "S", **_REMEMBERING, "total_steps": 100_000, "eval_interval": 12_500},
+    ),
     "S-command-apart": Row(
         "D3QN-S, sees its command, and images three steps apart",
         {"model": "S", "inputs": ("depth", "heading", "command"), "frame_interval": 3},

@@ -15,8 +15,8 @@ their first layer tells apart. Inverted, as stereo cameras and the Kinect itself
 
 Some things are computed differently from how they are written above, and give the same numbers (the tests compare):
 
-- Convolutions are products of matrices, see ``rl.convolution``, and features are flattened in the order row, column,
-  channel, as in TensorFlow.
+- Convolutions are products of matrices where these are faster, see ``rl.convolution``; features are flattened in the
+  order row, column, channel, as in TensorFlow.
 - The first layers of the two streams, 512 units each, are one matrix product of 1024 rows, written
   ``weights @ features.T``, which the BLAS does faster than its transpose.
 - A constant plane is not convolved. A convolution is linear, so the plane contributes its number times the response of
@@ -42,7 +42,7 @@ from torchrl.data import Categorical
 from torchrl.modules import QValueActor
 
 from navsim.robot import ACTIONS, NUM_ACTIONS
-from rl.convolution import ByteConvolution, Convolution, Geometry
+from rl.convolution import Geometry, convolve, convolve_bytes
 from rl.observation import DEPTH_AND_HEADING, NEAREST, NUM_FRAMES, DepthScale, Input, Model, check_inputs, keys_of
 from rl.surroundings import SECTORS
 
@@ -115,7 +115,7 @@ class SameConv2d(nn.Conv2d):
 
     def forward(self, images: Tensor) -> Tensor:
         """``(B, out_channels, H', W')`` from ``images`` ``(B, in_channels, H, W)``, in the format of the images."""
-        return Convolution.apply(images, self.weight.to(images.dtype), self.bias.to(images.dtype), self.geometry)
+        return convolve(images, self.weight.to(images.dtype), self.bias.to(images.dtype), self.geometry)
 
 
 class D3QN(nn.Module):
@@ -280,7 +280,7 @@ class D3QN(nn.Module):
     def _response(self, depth: Tensor, kernels: Tensor) -> Tensor:
         """What 8-bit images ``(B, 4, H, W)`` give with the kernels of one or more networks, ``(B·H'·W', 32 each)``."""
         nearest = 255.0 * NEAREST if self.depth_scale == "inverse" else None
-        return ByteConvolution.apply(depth, kernels, self.conv1.geometry, nearest)
+        return convolve_bytes(depth, kernels, self.conv1.geometry, nearest)
 
     def _features(self, response: Tensor, scalars: Tensor) -> Tensor:
         """What the streams see, ``(B, n)``, of conv1's ``response`` to the images, ``(B·H'·W', 32)`` without bias."""

@@ -6,7 +6,8 @@ import pytest
 import torch
 from torch.nn import functional as F
 
-from rl.convolution import ByteConvolution, Convolution, Geometry, patches, sum_patches
+from rl import convolution
+from rl.convolution import Geometry, convolve, convolve_bytes, patches, sum_patches
 
 GEOMETRIES = [
     ((9, 11), Geometry((4, 4), 2, (1, 1), (1, 1), (4, 5))),
@@ -16,16 +17,23 @@ GEOMETRIES = [
 ]
 
 
+@pytest.fixture(params=["products", "PyTorch's own"])
+def _way(request, monkeypatch):
+    """Both ways, whatever this processor's is."""
+    monkeypatch.setattr(convolution, "by_products", lambda device: request.param == "products")
+
+
 def padded(images: torch.Tensor, geometry: Geometry) -> torch.Tensor:
     return F.pad(images, (*geometry.columns, *geometry.rows))
 
 
+@pytest.mark.usefixtures("_way")
 @pytest.mark.parametrize(("size", "geometry"), GEOMETRIES)
 @pytest.mark.parametrize("layout", [torch.contiguous_format, torch.channels_last])
 def test_convolution_and_its_gradients_are_those_of_pytorch(size, geometry, layout):
     images = torch.randn(3, 2, *size).contiguous(memory_format=layout).requires_grad_()
     weight, bias = torch.randn(6, 2, *geometry.kernel, requires_grad=True), torch.randn(6, requires_grad=True)
-    ours = Convolution.apply(images, weight, bias, geometry)
+    ours = convolve(images, weight, bias, geometry)
     expected = F.conv2d(padded(images, geometry), weight, bias, geometry.stride)
     torch.testing.assert_close(ours, expected, rtol=1e-4, atol=1e-4)
     upstream = torch.randn_like(expected)
@@ -36,15 +44,17 @@ def test_convolution_and_its_gradients_are_those_of_pytorch(size, geometry, layo
         torch.testing.assert_close(gradient, reference, rtol=1e-4, atol=1e-4)
 
 
+@pytest.mark.usefixtures("_way")
 @pytest.mark.parametrize(("size", "geometry"), GEOMETRIES)
-@pytest.mark.parametrize("batch", [1, 1300])
-def test_images_of_bytes_are_convolved_in_portions(size, geometry, batch):
+@pytest.mark.parametrize(("batch", "nearest"), [(1, None), (1300, None), (1300, 20.4)])
+def test_images_of_bytes_are_convolved(size, geometry, batch, nearest):
     images = torch.randint(0, 256, (batch, 4, *size), dtype=torch.uint8)
     weight = torch.randn(5, 4, *geometry.kernel, requires_grad=True)
     flat = weight.permute(0, 2, 3, 1).flatten(1)
-    ours = ByteConvolution.apply(images, flat, geometry).view(batch, *geometry.output, 5).permute(0, 3, 1, 2)
-    expected = F.conv2d(padded(images.float(), geometry), weight, None, geometry.stride)
-    torch.testing.assert_close(ours, expected, rtol=1e-4, atol=0.1)
+    ours = convolve_bytes(images, flat, geometry, nearest).view(batch, *geometry.output, 5).permute(0, 3, 1, 2)
+    pixels = images.float() if nearest is None else nearest / images.clamp(min=nearest)
+    expected = F.conv2d(padded(pixels, geometry), weight, None, geometry.stride)
+    torch.testing.assert_close(ours, expected, rtol=1e-4, atol=1e-4 * float(expected.detach().abs().max()))
     upstream = torch.randn_like(expected)
     (gradient,), (reference,) = (torch.autograd.grad(result, weight, upstream) for result in (ours, expected))
     torch.testing.assert_close(gradient, reference, rtol=1e-3, atol=1e-4 * float(reference.abs().max()))
@@ -57,3 +67,12 @@ def test_summing_patches_is_the_transpose_of_taking_them(size, geometry):
     values = torch.randn_like(taken)
     summed = sum_patches(values, geometry, tuple(images.shape))
     torch.testing.assert_close((taken * values).sum(), (images * summed).sum())
+
+
+@pytest.mark.parametrize(
+    ("capability", "expected"), [("AVX512", False), ("AVX2", True), ("DEFAULT", True), ("NO AVX", True)]
+)
+def test_the_way_is_chosen_by_the_processor(monkeypatch, capability, expected):
+    monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: capability)
+    assert convolution.by_products(torch.device("cpu")) is expected
+    assert not convolution.by_products(torch.device("cuda"))
