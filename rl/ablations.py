@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from navsim.draw import INK, QUIET_INK, new_figure, save_figure
-from rl.config import PRESETS, TrainConfig
+from rl.config import DEFAULT_PRESET, PRESETS, TrainConfig
 from rl.evaluation import Evaluation, evaluate_as_trained
 from rl.policies import load_policy
 from rl.run import Run, atomic_write, processor, versions, write_json
@@ -56,15 +56,9 @@ def _rooms(count: int) -> dict[str, Any]:
 
 
 BASE: dict[str, Any] = {"num_threads": 1, "report": False}
-"""What all rows share, in place of the preset "fast"'s settings."""
+"""What all rows share, in place of their presets' settings."""
 
-
-_REMEMBERING: dict[str, Any] = {
-    "inputs": ("depth", "heading", "command", "surroundings"),
-    "depth_scale": "inverse",
-}
-
-
+_TWICE_AS_LONG = {"total_steps": 200_000, "eval_interval": 25_000}
 _FAR: dict[str, Any] = {"depth_scale": "inverse", "n_step": 12, "epsilon_end": 0.1}
 """What a robot runs into has left its view up to 17 steps before: returns that reach as far need no value in between,
 which cannot tell what is out of view from what is not there. They must not be full of random actions."""
@@ -76,19 +70,32 @@ class Row(NamedTuple):
     what: str
     """Is different, in a few words."""
     changes: dict[str, Any]
-    """Settings in place of the base's."""
+    """Settings in place of the preset's."""
+    preset: str = "memoryless"
+    """What they are changes of."""
 
     def config(self, name: str, seed: int, directory: Path, total_steps: int | None = None) -> TrainConfig:
         """The settings of a run."""
         settings = {**BASE, **self.changes, "seed": seed, "out": directory / f"{name}-seed{seed}"}
         if total_steps is not None:
             settings["total_steps"] = total_steps
-        return dataclasses.replace(PRESETS["fast"], **settings)
+        return dataclasses.replace(PRESETS[self.preset], **settings)
 
 
 ROWS: dict[str, Row] = {
-    "base": Row("preset fast, D3QN-I, in 400 generated rooms", {}),
+    "base": Row("preset memoryless, D3QN-I, in 400 generated rooms", {}),
     "S": Row("D3QN-S", {"model": "S"}),
+    "fast": Row("preset fast: sees depth inverted, its command, and what it remembers around it", {}, "fast"),
+    "S-fast": Row("preset fast, D3QN-S", {"model": "S"}, "fast"),
+    "fast-longer": Row("preset fast, 200,000 steps", _TWICE_AS_LONG, "fast"),
+    "S-fast-longer": Row("preset fast, D3QN-S, 200,000 steps", {"model": "S", **_TWICE_AS_LONG}, "fast"),
+    "fast-linear": Row("preset fast, sees depth as it is", {"depth_scale": "linear"}, "fast"),
+    "fast-no-memory": Row("preset fast without the memory", {"inputs": ("depth", "heading", "command")}, "fast"),
+    "fast-no-command": Row("preset fast without its command", {"inputs": ("depth", "heading", "surroundings")}, "fast"),
+    "fast-12-steps": Row(
+        "preset fast, twelve-step returns, fewer random actions", {"n_step": 12, "epsilon_end": 0.1}, "fast"
+    ),
+    "S-glorot": Row("D3QN-S, weights for the heading begin as all others", {"model": "S", "heading_init": "glorot"}),
     "inverse": Row("sees depth inverted", {"depth_scale": "inverse"}),
     "S-inverse": Row("D3QN-S, sees depth inverted", {"model": "S", "depth_scale": "inverse"}),
     "inverse-12-steps": Row("sees depth inverted; twelve-step returns, fewer random actions", _FAR),
@@ -100,21 +107,6 @@ ROWS: dict[str, Row] = {
     "command-apart": Row(
         "sees its command, and images three steps apart",
         {"inputs": ("depth", "heading", "command"), "frame_interval": 3},
-    ),
-    "surroundings": Row("sees depth inverted, its command, and what it remembers around it", _REMEMBERING),
-    "surroundings-12-steps": Row(
-        "sees depth inverted, its command, and what it remembers around it; twelve-step returns, fewer random actions",
-        {**_REMEMBERING, **_FAR},
-    ),
-    "S-surroundings": Row(
-        "D3QN-S, sees depth inverted, its command, and what it remembers around it", {"model": "S", **_REMEMBERING}
-    ),
-    "surroundings-short": Row(
-        "as surroundings, 100,000 steps", {**_REMEMBERING, "total_steps": 100_000, "eval_interval": 12_500}
-    ),
-    "S-surroundings-short": Row(
-        "as S-surroundings, 100,000 steps",
-        {"model": "S", **_REMEMBERING, "total_steps": 100_000, "eval_interval": 12_500},
     ),
     "S-command-apart": Row(
         "D3QN-S, sees its command, and images three steps apart",
@@ -234,10 +226,12 @@ def rates_of(evaluation: Evaluation) -> dict[str, float]:
 def arguments_of(config: TrainConfig) -> list[str]:
     """What ``navsim train`` is told for these settings, beside its directory.
 
-    >>> arguments_of(TrainConfig(model="S", mirror=False, n_step=3, epsilon_least=None))
-    ['--model', 'S', '--epsilon-least', 'None', '--n-step', '3', '--no-mirror']
+    >>> arguments_of(TrainConfig(model="S", mirror=False, epsilon_least=None))
+    ['--preset', 'memoryless', '--model', 'S', '--epsilon-least', 'None', '--no-mirror']
+    >>> arguments_of(dataclasses.replace(PRESETS["fast"], n_step=3))
+    ['--n-step', '3']
     """
-    told: list[str] = []
+    told = [] if config.preset == DEFAULT_PRESET else ["--preset", config.preset]
     for setting in dataclasses.fields(config):
         value, default = getattr(config, setting.name), getattr(PRESETS[config.preset], setting.name)
         flag = setting.name.replace("_", "-")

@@ -29,7 +29,7 @@ from rl.memory import keep_freed_memory
 from rl.observation import NUM_FRAMES
 from rl.run import processor
 
-CONFIG = dataclasses.replace(PRESETS["fast"], loss_function="smooth_l1")
+CONFIG = dataclasses.replace(PRESETS["memoryless"], loss_function="smooth_l1")
 """TorchRL's ``DQNLoss`` has no distribution of returns, so neither has the learner that it is compared with."""
 BATCH_SIZES = (8, 64)
 NumberFormat = Literal["float32", "bfloat16"]

@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple
 from rich.console import Console
 from rich.table import Table
 
-from rl.config import PRESETS, TrainConfig
+from rl.config import DEFAULT_PRESET, PRESETS, TrainConfig
 from rl.loss import fastest_autocast
 from rl.run import Run, processor, versions, write_json
 
@@ -55,7 +55,7 @@ def run(
         seeds: of the runs.
         steps: transitions in each.
         formats: see ``matrix``.
-        settings: of ``TrainConfig``, in place of those of the preset "fast".
+        settings: of ``TrainConfig``, in place of the default preset's.
 
     Returns:
         what the file holds: ``machine``, ``steps`` and ``runs``, each with its setting, seed, successes and seconds.
@@ -67,7 +67,7 @@ def run(
             name = f"{setting.collector}-{setting.number_format}-seed{seed}"
             console.print(f"{name}, {steps:,} steps")
             config = dataclasses.replace(
-                PRESETS["fast"],
+                PRESETS[DEFAULT_PRESET],
                 **{
                     "collector": setting.collector,
                     "autocast": setting.number_format,

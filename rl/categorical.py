@@ -22,7 +22,7 @@ from torchrl.modules import QValueActor
 from navsim.robot import NUM_ACTIONS
 from rl.loss import D3QNLoss
 from rl.networks import D3QN, STREAM_WIDTH, hidden_of_update
-from rl.observation import DEPTH_AND_HEADING, DepthScale, Input, Model, keys_of
+from rl.observation import DEPTH_AND_HEADING, DepthScale, HeadingInit, Input, Model, keys_of
 
 
 class CategoricalD3QN(D3QN):
@@ -34,6 +34,7 @@ class CategoricalD3QN(D3QN):
         width: of the depth images, pixels.
         inputs: what it sees, see ``D3QN``.
         depth_scale: how, see ``D3QN``.
+        heading_init: see ``D3QN``.
         atoms: returns that are told apart, at least 2.
         value_range: the least and the greatest of them; they are evenly spaced.
 
@@ -55,6 +56,7 @@ class CategoricalD3QN(D3QN):
         inputs: Collection[Input] = DEPTH_AND_HEADING,
         depth_scale: DepthScale = "linear",
         *,
+        heading_init: HeadingInit = "spread",
         atoms: int = 51,
         value_range: tuple[float, float] = (-1.5, 2.5),
     ) -> None:
@@ -63,7 +65,7 @@ class CategoricalD3QN(D3QN):
                 f"a categorical head needs at least 2 atoms in a range of returns from less to more; got {atoms} atoms "
                 f"from {value_range[0]} to {value_range[1]}"
             )
-        super().__init__(model, height, width, inputs, depth_scale)
+        super().__init__(model, height, width, inputs, depth_scale, heading_init=heading_init)
         self.value = nn.Linear(STREAM_WIDTH, atoms)
         self.advantage = nn.Linear(STREAM_WIDTH, NUM_ACTIONS * atoms)
         self.reset_parameters()
@@ -97,11 +99,14 @@ def make_categorical_actor(
     inputs: Collection[Input] = DEPTH_AND_HEADING,
     depth_scale: DepthScale = "linear",
     *,
+    heading_init: HeadingInit = "spread",
     atoms: int = 51,
     value_range: tuple[float, float] = (-1.5, 2.5),
 ) -> QValueActor:
     """``rl.make_q_actor`` with a categorical head; arguments and errors as for ``CategoricalD3QN``."""
-    network = CategoricalD3QN(model, height, width, inputs, depth_scale, atoms=atoms, value_range=value_range)
+    network = CategoricalD3QN(
+        *(model, height, width, inputs, depth_scale), heading_init=heading_init, atoms=atoms, value_range=value_range
+    )
     return QValueActor(network, in_keys=keys_of(inputs), spec=Categorical(NUM_ACTIONS))
 
 

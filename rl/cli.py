@@ -374,13 +374,13 @@ def _training_settings(arguments: Sequence[str]) -> tuple["TrainConfig", bool]:
         ConfigError: for settings that cannot be used.
         RunError: if they are not those of the run that is to be gone on with.
     """
-    from rl.config import PRESETS, ConfigError
+    from rl.config import DEFAULT_PRESET, PRESETS, ConfigError
 
     finder = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     finder.add_argument("--preset", nargs="?")
     preset = finder.parse_known_args(arguments)[0].preset
     try:
-        config, resume = _parse(arguments, PRESETS.get(preset, PRESETS["fast"]))
+        config, resume = _parse(arguments, PRESETS.get(preset, PRESETS[DEFAULT_PRESET]))
     except ConfigError as error:
         if error.config is None:
             raise

@@ -135,10 +135,13 @@ def make_actor(config: TrainConfig) -> QValueActor:
         returns = (config.least_return, config.greatest_return)
         return make_categorical_actor(
             *(config.model, height, width, config.inputs, config.depth_scale),
+            heading_init=config.heading_init,
             atoms=config.atoms,
             value_range=returns,
         )
-    return make_q_actor(config.model, height, width, config.inputs, config.depth_scale)
+    return make_q_actor(
+        *(config.model, height, width, config.inputs, config.depth_scale), heading_init=config.heading_init
+    )
 
 
 def name_in_network(name: str) -> str:

@@ -43,7 +43,17 @@ from torchrl.modules import QValueActor
 
 from navsim.robot import ACTIONS, NUM_ACTIONS
 from rl.convolution import Geometry, convolve, convolve_bytes
-from rl.observation import DEPTH_AND_HEADING, NEAREST, NUM_FRAMES, DepthScale, Input, Model, check_inputs, keys_of
+from rl.observation import (
+    DEPTH_AND_HEADING,
+    NEAREST,
+    NUM_FRAMES,
+    DepthScale,
+    HeadingInit,
+    Input,
+    Model,
+    check_inputs,
+    keys_of,
+)
 from rl.surroundings import SECTORS
 
 _FASTEST = tuple(max(abs(command[axis] or 0.0) for command in ACTIONS) for axis in (0, 1))
@@ -128,6 +138,7 @@ class D3QN(nn.Module):
         inputs: what it sees. Images or headings that are not among them are zeros to it, whatever it is given.
         depth_scale: what becomes of a depth d between 0 and 1, of the greatest: ``"linear"``, d itself, or
             ``"inverse"``, 0.08 / max(d, 0.08). It is no weight, and a state dict does not tell it.
+        heading_init: how D3QN-S's weights for the heading begin; D3QN-I has none of its own.
 
     Attributes:
         conv1, conv2, conv3: the convolutions; the fifth input channel of D3QN-I's ``conv1`` is the heading's.
@@ -135,10 +146,13 @@ class D3QN(nn.Module):
         value, advantage: the streams' last layers.
 
     Raises:
-        ValueError: for another model or scale, no or unknown inputs, or images smaller than the first kernel.
+        ValueError: for another model, scale or beginning, no or unknown inputs, or images smaller than the first
+            kernel.
 
     Weights begin as in TensorFlow, the thesis's framework: Glorot's uniform distribution (2010), for each stream of its
-    own, and biases of zero.
+    own, and biases of zero. For the heading of D3QN-S that is too little: it is one of 1,281 inputs of the streams,
+    with weights of 0.03 and its units' kinks all at θ = −π, and takes tens of thousands of transitions to be heard. So
+    these weights begin *spread*: uniform in (−1, 1), with biases that put each unit's kink at a heading of its own.
 
     >>> network = D3QN("S", height=64, width=80)
     >>> network(torch.zeros(2, 4, 64, 80, dtype=torch.uint8), torch.zeros(2, 1)).shape
@@ -155,6 +169,8 @@ class D3QN(nn.Module):
         width: int = 80,
         inputs: Collection[Input] = DEPTH_AND_HEADING,
         depth_scale: DepthScale = "linear",
+        *,
+        heading_init: HeadingInit = "spread",
     ) -> None:
         super().__init__()
         if model not in get_args(Model):
@@ -163,6 +179,8 @@ class D3QN(nn.Module):
             )
         if depth_scale not in get_args(DepthScale):
             raise ValueError(f'depth_scale must be "linear" or "inverse"; got {depth_scale!r}')
+        if heading_init not in get_args(HeadingInit):
+            raise ValueError(f'heading_init must be "spread" or "glorot"; got {heading_init!r}')
         check_inputs(inputs)
         least = _CONVOLUTIONS[0].kernel
         if height < least[0] or width < least[1]:
@@ -173,6 +191,7 @@ class D3QN(nn.Module):
         self.model = model
         self.inputs = frozenset(inputs)
         self.depth_scale = depth_scale
+        self.heading_init = heading_init
         self.image_shape = (NUM_FRAMES, height, width)
 
         channels, size = NUM_FRAMES + (model == "I"), (height, width)
@@ -182,8 +201,9 @@ class D3QN(nn.Module):
             channels, size = convolution.channels, layer.output_size
             layers.append(layer)
         self.conv1, self.conv2, self.conv3 = layers
+        self._features_of_images = channels * size[0] * size[1]
         appended = (model == "S") + 2 * ("command" in self.inputs) + SECTORS * ("surroundings" in self.inputs)
-        self.streams = nn.Linear(channels * size[0] * size[1] + appended, 2 * STREAM_WIDTH)
+        self.streams = nn.Linear(self._features_of_images + appended, 2 * STREAM_WIDTH)
         self.value = nn.Linear(STREAM_WIDTH, 1)
         self.advantage = nn.Linear(STREAM_WIDTH, NUM_ACTIONS)
         self.reset_parameters()
@@ -202,6 +222,11 @@ class D3QN(nn.Module):
         for name, parameter in self.named_parameters():
             if name.endswith("bias"):
                 nn.init.zeros_(parameter)
+        if self.model == "S" and self.heading_init == "spread":
+            slopes = torch.empty(2 * STREAM_WIDTH).uniform_(-1.0, 1.0)
+            kinks = torch.rand(2 * STREAM_WIDTH)  # where slope · heading + bias is zero, for headings from 0 to 1
+            self.streams.weight.data[:, self._features_of_images] = slopes
+            self.streams.bias.data.copy_(-slopes * kinks)
 
     def parameter_counts(self) -> dict[str, int]:
         """Weights and biases of each layer as a table of the network lists them, one stream beside the other.
@@ -379,6 +404,8 @@ def make_q_actor(
     width: int = 80,
     inputs: Collection[Input] = DEPTH_AND_HEADING,
     depth_scale: DepthScale = "linear",
+    *,
+    heading_init: HeadingInit = "spread",
 ) -> QValueActor:
     """The greedy policy of a new network.
 
@@ -391,6 +418,7 @@ def make_q_actor(
         width: of the depth images, pixels.
         inputs: what it sees.
         depth_scale: how; see ``D3QN``.
+        heading_init: see ``D3QN``.
 
     Returns:
         a TorchRL actor with a categorical action space, for tensordicts of any batch size.
@@ -398,5 +426,5 @@ def make_q_actor(
     Raises:
         ValueError: as ``D3QN``.
     """
-    network = D3QN(model, height, width, inputs, depth_scale)
+    network = D3QN(model, height, width, inputs, depth_scale, heading_init=heading_init)
     return QValueActor(network, in_keys=keys_of(inputs), spec=Categorical(NUM_ACTIONS))

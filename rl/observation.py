@@ -18,6 +18,9 @@ it (``rl.surroundings``)."""
 DepthScale = Literal["linear", "inverse"]
 """How depth enters the first convolution: as a share of the greatest depth, or ``NEAREST`` over it."""
 
+HeadingInit = Literal["spread", "glorot"]
+"""How weights for a heading that is a scalar begin: as large as makes it matter, or as all others do."""
+
 NEAREST = 0.08
 """Share of the greatest depth, 0.4 m of 5 m, up to which the inverse scale is 1: there, depth ends an episode."""
 

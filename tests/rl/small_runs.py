@@ -15,7 +15,7 @@ HALL = Path(__file__).with_name("hall.yaml")
 def small_config(out: Path, **settings: Any) -> TrainConfig:
     """Settings of a run in ``out`` with small images, few robots and a small replay."""
     small = replace(
-        PRESETS["fast"],
+        PRESETS["memoryless"],
         camera=DepthCamera(width=20, height=12),
         world=("complex_train",),
         eval_world=str(HALL),

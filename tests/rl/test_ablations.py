@@ -28,8 +28,8 @@ def test_each_row_is_trained_by_the_command_that_the_page_gives(name, tmp_path, 
 
 
 def test_rows_differ_from_the_base_in_what_they_say():
-    base = ROWS["base"].config("base", 0, rl.ablations.Path("runs"))
     for name, row in ROWS.items():
+        base = Row("", {}, row.preset).config("base", 0, rl.ablations.Path("runs"))
         config = row.config(name, 0, rl.ablations.Path("runs"))
         changed = {field.name for field in dataclasses.fields(config)} - {"out"}
         changed = {key for key in changed if getattr(config, key) != getattr(base, key)}
@@ -43,7 +43,7 @@ def small(monkeypatch, tmp_path):
     settings = {
         field.name: getattr(changes, field.name)
         for field in dataclasses.fields(changes)
-        if getattr(changes, field.name) != getattr(PRESETS["fast"], field.name) and field.name != "out"
+        if getattr(changes, field.name) != getattr(PRESETS["memoryless"], field.name) and field.name != "out"
     }
     monkeypatch.setattr(rl.ablations, "BASE", {**settings, "report": False})
     monkeypatch.setattr(rl.ablations, "ROWS", {"base": Row("base", {}), "S": Row("D3QN-S", {"model": "S"})})

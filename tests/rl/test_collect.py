@@ -32,7 +32,7 @@ from rl.networks import make_q_actor
 
 CAMERA = DepthCamera(width=20, height=12)
 CONFIG = replace(
-    PRESETS["fast"],
+    PRESETS["memoryless"],
     world=("complex_train",),
     camera=CAMERA,
     num_envs=4,

@@ -23,6 +23,7 @@ def test_thesis_preset_holds_the_numbers_of_section_5_3():
     assert (thesis.target_update, thesis.tau, thesis.steps_per_update) == ("soft", 0.001, 1.0)
     assert thesis.total_steps == 400_000
     assert (thesis.inputs, thesis.depth_scale, thesis.frame_interval) == (("depth", "heading"), "linear", 1)
+    assert thesis.heading_init == "glorot"
     assert (thesis.mirror, thesis.prioritized, thesis.random_paths) == (False, False, False)
 
 
@@ -45,7 +46,7 @@ def test_a_preset_bears_its_own_name(name):
             randomization=Randomization(camera_pitch_deg=(-2.0, 2.0), latency=(0, 1), noise_level=(0.5, 1.5)),
         ),
     ],
-    ids=["fast", "thesis", "others"],
+    ids=[*PRESETS, "others"],
 )
 def test_settings_survive_json(config):
     assert TrainConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
@@ -127,9 +128,9 @@ def test_values_of_another_version_are_refused(values, named):
 @pytest.mark.parametrize(
     ("settings", "directory"),
     [
-        ({}, "runs/fast-I-seed0"),
-        ({"model": "S", "seed": 3, "world": ("rooms/a.yaml", "b.yml")}, "runs/fast-S-a+b-seed3"),
-        ({"world": ("generate:office, count=9",)}, "runs/fast-I-office,count=9-seed0"),
+        ({}, "runs/memoryless-I-seed0"),
+        ({"model": "S", "seed": 3, "world": ("rooms/a.yaml", "b.yml")}, "runs/memoryless-S-a+b-seed3"),
+        ({"world": ("generate:office, count=9",)}, "runs/memoryless-I-office,count=9-seed0"),
         ({"out": Path("elsewhere")}, "elsewhere"),
     ],
 )
@@ -146,4 +147,4 @@ def test_generated_rooms_asked_for_wrongly_are_a_problem_of_the_settings(setting
 
 def test_generated_rooms_may_be_trained_in_on_their_listed_paths():
     config = TrainConfig(world=("generate:clutter,density=0.11,count=200",), random_paths=False)
-    assert config.directory.name == "fast-I-clutter,density=0.11,count=200-seed0"
+    assert config.directory.name == "memoryless-I-clutter,density=0.11,count=200-seed0"

@@ -14,12 +14,12 @@ from rl.config import LEAST_HEIGHT, LEAST_WIDTH, PRESETS, ConfigError, TrainConf
 from rl.networks import D3QN
 from rl.train import train
 
-FAST = PRESETS["fast"]
+MEMORYLESS = PRESETS["memoryless"]
 GIB = 2**30
 
 
 def obstacles(**settings) -> list[str]:
-    return list(feasibility.obstacles(replace(FAST, **settings)))
+    return list(feasibility.obstacles(replace(MEMORYLESS, **settings)))
 
 
 @pytest.fixture(autouse=True)
@@ -46,7 +46,7 @@ def test_a_run_that_exceeds_the_memory_is_refused_with_both_numbers():
 
 
 def test_memory_that_just_suffices_is_enough(monkeypatch):
-    needed = feasibility.memory_needed(FAST)
+    needed = feasibility.memory_needed(MEMORYLESS)
     monkeypatch.setattr(feasibility, "available_memory", lambda: needed)
     assert obstacles() == []
     monkeypatch.setattr(feasibility, "available_memory", lambda: needed - 1)
@@ -61,12 +61,12 @@ def test_memory_that_just_suffices_is_enough(monkeypatch):
     [((20, 12), 5_000, 0.439), ((80, 64), 20_000, 0.618), ((160, 128), 20_000, 1.109)],
 )
 def test_the_estimate_of_memory_is_a_little_above_what_was_measured(camera, capacity, measured):
-    config = replace(FAST, camera=DepthCamera(*camera), replay_capacity=capacity, num_envs=64)
+    config = replace(MEMORYLESS, camera=DepthCamera(*camera), replay_capacity=capacity, num_envs=64)
     assert measured < feasibility.memory_needed(config) / GIB < 1.35 * measured
 
 
 def test_an_asynchronous_collector_takes_a_second_process():
-    more = feasibility.memory_needed(replace(FAST, collector="async")) - feasibility.memory_needed(FAST)
+    more = feasibility.memory_needed(replace(MEMORYLESS, collector="async")) - feasibility.memory_needed(MEMORYLESS)
     assert 0.4 * GIB < more < 0.8 * GIB
 
 
@@ -93,7 +93,7 @@ def test_a_control_group_of_the_first_version_limits_the_memory(tmp_path):
 
 
 def test_a_disk_without_room_for_the_checkpoints_is_refused(tmp_path, monkeypatch):
-    size = feasibility.checkpoint_size(FAST)
+    size = feasibility.checkpoint_size(MEMORYLESS)
 
     def free(count: int):
         return lambda place: SimpleNamespace(free=count)
@@ -129,7 +129,7 @@ def test_images_smaller_than_the_first_kernel_are_refused():
 
 def test_training_refuses_before_anything_is_written(tmp_path):
     with pytest.raises(ConfigError, match="complex_evil: there is no such world file"):
-        train(replace(FAST, eval_world="complex_evil", out=tmp_path / "run"))
+        train(replace(MEMORYLESS, eval_world="complex_evil", out=tmp_path / "run"))
     assert not any(tmp_path.iterdir())
 
 

@@ -12,10 +12,10 @@ from tensordict import TensorDict
 
 from navsim.camera import DepthCamera
 from rl.config import PRESETS
-from rl.learner import Learner
+from rl.learner import Learner, make_actor
 from rl.optimiser import SoftUpdateAtOnce
 
-CONFIG = replace(PRESETS["fast"], camera=DepthCamera(width=20, height=12), total_steps=1_000, warmup_steps=200)
+CONFIG = replace(PRESETS["memoryless"], camera=DepthCamera(width=20, height=12), total_steps=1_000, warmup_steps=200)
 
 
 def sample(seed: int = 0, batch_size: int = 16) -> TensorDict:
@@ -63,6 +63,8 @@ def test_the_network_is_the_one_that_the_settings_describe(loss_function, depth_
     )
     network = Learner(config).actor.module[0].module
     assert (network.model, network.inputs, network.depth_scale) == ("S", {"heading", "command"}, depth_scale)
+    assert network.heading_init == "spread"
+    assert make_actor(replace(config, heading_init="glorot")).module[0].module.heading_init == "glorot"
     assert network.image_shape == (4, 12, 20)
     assert getattr(network, "support", torch.empty(0)).numel() == (config.atoms if loss_function != "l2" else 0)
 

@@ -232,11 +232,38 @@ def test_bfloat16_autocast_stays_near_float32_and_returns_float32(model):
 
 
 def test_new_weights_follow_glorot_for_each_stream():
-    network = D3QN("S", 64, 80)
+    network = D3QN("S", 64, 80, heading_init="glorot")
     bound = math.sqrt(6 / (1281 + 512))
     for stream in network.streams.weight.split(512):
         assert 0.99 * bound < stream.abs().max() <= bound
     assert all(not parameter.any() for name, parameter in network.named_parameters() if name.endswith("bias"))
+
+
+def test_the_heading_of_a_scalar_begins_spread_and_nothing_else_does():
+    torch.manual_seed(0)
+    spread = D3QN("S", 64, 80, ("depth", "heading", "command", "surroundings"))
+    torch.manual_seed(0)
+    glorot = D3QN("S", 64, 80, ("depth", "heading", "command", "surroundings"), heading_init="glorot")
+    assert all(not bias.any() for name, bias in glorot.named_parameters() if name.endswith("bias"))
+    heading = 1280  # after the features of the images, before the command
+    for (name, ours), theirs in zip(spread.named_parameters(), glorot.parameters(), strict=True):
+        same = ours == theirs
+        if name == "streams.weight":
+            assert not same[:, heading].any()
+            same[:, heading] = True
+        assert same.all() == (name != "streams.bias")
+    slopes, biases = spread.streams.weight[:, heading].detach(), spread.streams.bias.detach()
+    kinks = -biases / slopes  # headings, from 0 to 1, at which a unit that saw nothing else would begin to answer
+    for values, low, high in ((slopes, -1.0, 1.0), (kinks, 0.0, 1.0)):
+        counts = torch.histc(values, 8, low, high)
+        assert counts.sum() == 1024
+        assert counts.min() > 128 - 5 * math.sqrt(128)
+
+
+@pytest.mark.parametrize("heading_init", ["spread", "glorot"])
+def test_biases_of_a_heading_that_is_an_image_begin_at_zero(heading_init):
+    network = D3QN("I", 64, 80, heading_init=heading_init)
+    assert all(not bias.any() for name, bias in network.named_parameters() if name.endswith("bias"))
 
 
 def test_settings_that_cannot_be_used_are_refused():
@@ -248,6 +275,8 @@ def test_settings_that_cannot_be_used_are_refused():
         make_q_actor("X")
     with pytest.raises(ValueError, match="depth_scale must be"):
         make_q_actor("I", depth_scale="logarithmic")
+    with pytest.raises(ValueError, match="heading_init must be"):
+        make_q_actor("S", heading_init="zero")
     network = D3QN("I", 64, 80)
     depth, heading = observations(2, height=80, width=64)
     with pytest.raises(ValueError, match=r"\(4, 64, 80\).*\(4, 80, 64\)"):

@@ -24,7 +24,7 @@ HALL = Path(__file__).with_name("hall.yaml")
 
 
 def config(out: Path, **settings) -> TrainConfig:
-    return replace(PRESETS["fast"], camera=DepthCamera(width=20, height=12), out=out, **settings)
+    return replace(PRESETS["memoryless"], camera=DepthCamera(width=20, height=12), out=out, **settings)
 
 
 @pytest.fixture
