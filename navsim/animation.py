@@ -47,6 +47,7 @@ ANIMATION_SUFFIXES = (".gif", ".mp4")
 
 _SIZE, _DPI = (9.6, 5.2), 100  # inches and dots an inch: 960 x 520 pixels, both even as MP4 needs them
 _OTHER_BARS = "#b9c0c8"
+_REMEMBERED = "#c05621"
 _HOLD = 1.0  # seconds that the last frame stays
 
 
@@ -62,6 +63,7 @@ class _Episode:
     task: Task
     robot: Robot
     q_values: np.ndarray | None
+    remembered: np.ndarray | None
 
 
 def animate_episode(
@@ -77,6 +79,7 @@ def animate_episode(
     task: Task | None = None,
     robot: Robot = TURTLEBOT2,
     q_values: np.ndarray | None = None,
+    remembered: np.ndarray | None = None,
     speed: float = 2.0,
 ) -> Path:
     """Write one episode as a GIF or an MP4: the plan view beside the depth image that the robot sees.
@@ -94,14 +97,16 @@ def animate_episode(
         task: its goal radius and control period are shown.
         robot: drawn to scale.
         q_values: ``(K - 1, 7)``, what the network expects of each action at each pose but the last, drawn as bars.
+        remembered: ``(K - 1, S)``, metres from the robot's centre to what it remembers in each of S equal directions,
+            the first of which begins behind it, counterclockwise; drawn as arcs where it is finite.
         speed: how many times faster than real time it plays.
 
     Returns:
         The path.
 
     Raises:
-        ValueError: for a suffix that is neither of the two, or poses or Q-values of another shape, or of another number
-            of times.
+        ValueError: for a suffix that is neither of the two, or poses, Q-values or what is remembered of another shape,
+            or of another number of times.
     """
     path = Path(path)
     check_animation_path(path)
@@ -114,6 +119,13 @@ def animate_episode(
             raise ValueError(
                 f"Q-values of shape {q_values.shape} do not belong to {len(poses)} poses: give "
                 f"({len(poses) - 1}, {NUM_ACTIONS}), one row for each pose but the last"
+            )
+    if remembered is not None:
+        remembered = np.asarray(remembered, dtype=np.float64)
+        if remembered.ndim != 2 or len(remembered) != len(poses) - 1:
+            raise ValueError(
+                f"what is remembered, of shape {remembered.shape}, does not belong to {len(poses)} poses: give "
+                f"({len(poses) - 1}, S), distances in S directions for each pose but the last"
             )
     if obstacle_poses is not None and len(obstacle_poses) != len(poses):
         raise ValueError(f"there are obstacle_poses for {len(obstacle_poses)} times, but poses for {len(poses)}")
@@ -128,6 +140,7 @@ def animate_episode(
         task or Task(),
         robot,
         q_values,
+        remembered,
     )
     frame_rate = speed / episode.task.control_period
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -180,6 +193,7 @@ class _Stage:
         self.moving: tuple[Artist, ...] = (
             *self._obstacles,
             self._view,
+            self._memory,
             self._goal,
             self._halo,
             self._trail,
@@ -225,6 +239,9 @@ class _Stage:
         self._halo = plan.add_line(Line2D([], [], color="white", lw=3.4, alpha=0.8, zorder=3.2))
         self._trail = plan.add_line(Line2D([], [], color=OUTCOME_COLOURS["success"], lw=1.8, zorder=3.3))
         self._nose = plan.add_line(Line2D([], [], color=INK, lw=1.4, zorder=4.1))
+        self._memory = plan.add_line(Line2D([], [], color=_REMEMBERED, lw=2.2, zorder=3.4))
+        if episode.remembered is not None:
+            self.figure.text(0.725, 0.03, "— what it remembers around it", fontsize=8.5, color=_REMEMBERED)
 
         shows_values = episode.q_values is not None
         sight = self.figure.add_axes((0.56, 0.55, 0.36, 0.38) if shows_values else (0.56, 0.37, 0.36, 0.56))
@@ -263,6 +280,8 @@ class _Stage:
         self._words.set_text("\n".join(words))
         if self._bars and episode.q_values is not None and index < len(episode.q_values):
             self._bars.show(episode.q_values[index])
+        if episode.remembered is not None and index < len(episode.remembered):
+            self._memory.set_data(*_arcs(episode.remembered[index], episode.poses[index]))
         if index == len(episode.poses) - 1 and episode.outcome is not None:
             for artist in (self._verdict, self._trail):
                 artist.set_color(OUTCOME_COLOURS[episode.outcome])
@@ -306,6 +325,15 @@ def _needle(angle: float) -> np.ndarray:
     ahead = np.array([-math.sin(angle), math.cos(angle)])
     left = np.array([-ahead[1], ahead[0]])
     return np.stack([0.92 * ahead, 0.3 * ahead + 0.16 * left, 0.42 * ahead, 0.3 * ahead - 0.16 * left])
+
+
+def _arcs(distances: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Where to draw ``(S,)`` distances around a pose, each across its direction: x and y, with gaps of NaN."""
+    count = len(distances)
+    angles = pose[2] + math.pi * (2.0 * (np.arange(count)[:, None] + np.linspace(0.0, 1.0, 5)) / count - 1.0)
+    points = np.where(np.isfinite(distances), distances, np.nan)[:, None] * np.stack([np.cos(angles), np.sin(angles)])
+    gaps = np.full((2, count, 1), np.nan)
+    return np.concatenate([points + pose[:2, None, None], gaps], axis=2).reshape(2, -1)
 
 
 def _view_outlines(depths: np.ndarray, poses: np.ndarray, camera: DepthCamera) -> np.ndarray:

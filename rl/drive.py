@@ -16,6 +16,7 @@ from navsim.world import Goal, Start
 from navsim.worldfile import load_world
 from rl.evaluation import PathResult, Planner, evaluate
 from rl.policies import find_policy
+from rl.surroundings import REACH
 
 _Place = TypeVar("_Place", Start, Goal)
 
@@ -86,7 +87,7 @@ def drive(
         task=config.task,
         robot=config.robot,
         obstacle_poses=result.obstacle_poses(room, config.task, config.robot),
-        q_values=watched.q_values if isinstance(watched, _Watched) else None,
+        **(watched.kept() if isinstance(watched, _Watched) else {}),
         speed=speed,
     )
     return result
@@ -106,20 +107,28 @@ def _chosen(
 
 
 class _Watched:
-    """A policy that remembers the Q-values it acted on, if it has any."""
+    """A policy that keeps what it acted on, for the film: its Q-values and what it remembers, if it has any."""
 
     def __init__(self, policy: Callable[[TensorDictBase], TensorDictBase]) -> None:
         self._policy = policy
         self.in_keys = getattr(policy, "in_keys", ())
         self._values: list[torch.Tensor] = []
+        self._surroundings: list[torch.Tensor] = []
 
     def __call__(self, state: TensorDictBase) -> TensorDictBase:
         state = self._policy(state)
         if "action_value" in state:
             self._values.append(state["action_value"][0].clone())
+        if "surroundings" in self.in_keys:
+            self._surroundings.append(state["surroundings"][0].clone())
         return state
 
-    @property
-    def q_values(self) -> np.ndarray | None:
-        """``(K, 7)`` of the K steps; None for a policy without."""
-        return torch.stack(self._values).cpu().numpy() if self._values else None
+    def kept(self) -> dict[str, np.ndarray]:
+        """What ``animate_episode`` shows of the K steps: ``q_values`` ``(K, 7)``, ``remembered`` ``(K, SECTORS)``."""
+        kept = {}
+        if self._values:
+            kept["q_values"] = torch.stack(self._values).cpu().numpy()
+        if self._surroundings:
+            near = torch.stack(self._surroundings).cpu().numpy()
+            kept["remembered"] = np.where(near < REACH, near, np.inf)
+        return kept

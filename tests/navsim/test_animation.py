@@ -10,7 +10,7 @@ import pytest
 import shapely
 from matplotlib.colors import to_rgb
 
-from navsim.animation import _view_outlines, animate_episode
+from navsim.animation import _REMEMBERED, _arcs, _view_outlines, animate_episode
 from navsim.camera import DepthCamera
 from navsim.draw import GOAL, OUTCOME_COLOURS, ROBOT
 from navsim.raycast import render_depth
@@ -122,3 +122,33 @@ def test_q_values_that_do_not_belong_to_the_poses_are_refused(tmp_path):
 def test_an_animation_that_cannot_be_made_says_why(tmp_path, name, poses, message):
     with pytest.raises(ValueError, match=message):
         animate_episode(tmp_path / name, WORLD, poses, (2.0, 0.0))
+
+
+def test_what_is_remembered_is_drawn_where_it_is():
+    distances = np.full(36, np.inf)
+    distances[[9, 18]] = 0.5, 1.0  # to the right, and ahead
+    x, y = _arcs(distances, np.array([1.0, 2.0, math.pi / 2]))  # facing up the plan
+    np.testing.assert_allclose(np.hypot(x - 1.0, y - 2.0)[np.isfinite(x)], np.repeat([0.5, 1.0], 5))
+    bearings = np.degrees(np.arctan2(y - 2.0, x - 1.0))[np.isfinite(x)]
+    np.testing.assert_allclose(bearings, [*np.linspace(0, 10, 5), *np.linspace(90, 100, 5)], atol=1e-9)
+
+
+def test_a_film_shows_what_is_remembered(tmp_path):
+    remembered = np.where(np.arange(36) == 27, 0.8, np.inf)[None].repeat(9, axis=0)
+    with_memory, without = tmp_path / "a.gif", tmp_path / "b.gif"
+    animate_episode(with_memory, WORLD, DRIVE, (2.0, 0.0), remembered=remembered)
+    animate_episode(without, WORLD, DRIVE, (2.0, 0.0))
+    first, last = imageio.imread(with_memory)[[0, 8]]
+    drawn = [pixels(frame[PLAN], _REMEMBERED, 60) for frame in (first, last)]
+    metre = 500 / 6.2
+    for found, robot in zip(drawn, (-2.0, DRIVE[8, 0]), strict=True):
+        assert len(found) > 10
+        assert np.median(found[:, 0]) == pytest.approx(250 - 0.8 * metre, abs=4)  # to the left of a robot driving right
+        assert np.median(found[:, 1]) == pytest.approx(250 + robot * metre, abs=8)
+    assert len(pixels(imageio.imread(without)[0], _REMEMBERED, 60)) == 0
+
+
+@pytest.mark.parametrize("shape", [(10, 36), (8, 36), (9,)])
+def test_a_memory_of_another_shape_is_refused(tmp_path, shape):
+    with pytest.raises(ValueError, match="what is remembered, of shape"):
+        animate_episode(tmp_path / "a.gif", WORLD, DRIVE, (2.0, 0.0), remembered=np.ones(shape))

@@ -9,12 +9,14 @@ import torch
 
 import rl.drive
 from navsim.camera import DepthCamera
+from navsim.raycast import render_depth
 from navsim.worldfile import load_world
 from rl.cli import main
 from rl.config import TrainConfig
 from rl.drive import drive
 from rl.learner import make_actor
 from rl.run import Run
+from rl.surroundings import Surroundings
 
 
 @pytest.fixture
@@ -46,12 +48,32 @@ def test_the_q_values_shown_are_those_that_were_acted_on(run, filmed, tmp_path):
     assert (filmed["actions"] == result.actions).all()
 
 
+def test_what_is_shown_as_remembered_is_what_the_robot_was_told(run, filmed, tmp_path):
+    result = drive(str(run.directory), "simple_eval", tmp_path / "a.mp4", start=1)
+    remembered = filmed["remembered"]
+    assert remembered.shape == (result.steps, 36)
+    near = np.isfinite(remembered)
+    assert near.any()
+    assert not near.all()
+    assert remembered[near].max() < 2.0
+    world = load_world("simple_eval")
+    memory = Surroundings(1, run.config.camera)
+    images = render_depth(world, result.trajectory[:-1], run.config.camera)
+    depth = run.config.camera.to_uint8(run.config.camera.from_planar(images))
+    memory.begin(depth[:1], result.trajectory[:1])
+    for step in range(1, result.steps):
+        memory.see(depth[step : step + 1], result.trajectory[step : step + 1])
+    last = memory.nearest(result.trajectory[result.steps - 1 : result.steps])[0]
+    np.testing.assert_allclose(np.minimum(remembered[-1], 2.0), last, atol=1e-5)
+
+
 def test_the_path_is_the_one_that_was_asked_for(filmed, tmp_path):
     world = load_world("simple_eval")
     result = drive("straight", "simple_eval", tmp_path / "a.gif", start=2, goal=3)
     np.testing.assert_allclose(result.trajectory[0, :2], world.starts[2].at)
     assert result.goal == world.goals[3].at
-    assert filmed["q_values"] is None
+    assert "q_values" not in filmed
+    assert "remembered" not in filmed
 
 
 def test_by_default_it_drives_from_the_first_start_to_the_goal_farthest_from_it(filmed, tmp_path):
