@@ -124,6 +124,8 @@ def results_page(runs: Sequence[dict[str, Any]], baselines: dict[str, Any], thes
         + "; ".join(f"{name} {_times(by_row[row])}" for name, row in _TIMED)
         + ".",
         "",
+        "![success by samples and by minutes of processor time](results/ablations/curves.png)",
+        "",
         "## Beside the baselines, and what each input is worth",
         "",
         f"| | {_NAMES[COMPLEX]}, % | SPL | {_NAMES[UNSEEN]}, % | SPL |",

@@ -243,6 +243,14 @@ class Run:
         return self._read()[0]
 
     @property
+    def processor(self) -> str:
+        """What the run was begun on; "unknown" where its ``versions.json`` does not tell."""
+        try:
+            return json.loads((self.directory / "versions.json").read_text(encoding="utf-8"))["processor"]
+        except (OSError, ValueError, KeyError, TypeError):
+            return "unknown"
+
+    @property
     def config(self) -> TrainConfig:
         """The run's settings.
 
@@ -413,19 +421,20 @@ def versions() -> dict[str, str]:
 
 
 def processor() -> str:
-    """The processor's name, as far as the system tells."""
-    return _first(
-        lambda: next(
-            line.split(":", 1)[1].strip() for line in open("/proc/cpuinfo", encoding="utf-8") if "model name" in line
-        ),
-        lambda: platform.processor() or platform.machine(),
-    )
+    """The processor's name, as far as the system tells; on Linux with its generation, which a name may not tell."""
+    return _first(_processor_of_linux, lambda: platform.processor() or platform.machine())
+
+
+def _processor_of_linux() -> str:
+    lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n")[0].splitlines()
+    told = {key.strip(): value.strip() for key, _, value in (line.partition(":") for line in lines)}
+    return f"{told['model name']} (family {told['cpu family']}, model {told['model']})"
 
 
 def _first(*attempts: Callable[[], str]) -> str:
     for attempt in attempts:
         try:
             return attempt()
-        except (OSError, StopIteration):
+        except (OSError, KeyError):
             continue
     return "unknown"

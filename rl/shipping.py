@@ -76,17 +76,19 @@ def _card(
     run: Run, name: str, config: TrainConfig, weights: str, results: list[tuple[str, Evaluation, Evaluation]]
 ) -> str:
     last = run.evaluations.rows()[-1]
+    seen = [_SEES[one] for one in config.inputs]
     environment = Environment(
         loader=PackageLoader("rl", "."), undefined=StrictUndefined, keep_trailing_newline=True, autoescape=False
     )
     return environment.get_template("card.md.jinja").render(
         name=name,
         config=config,
-        sees=" and ".join(_SEES[one] for one in config.inputs),
+        sees=" and ".join([*([", ".join(seen[:-1])] if seen[1:] else []), seen[-1]]),
         command=f"navsim train {shlex.join(arguments_of(config))}",
         steps=int(last["step"]),
         robot_hours=int(last["step"]) * config.task.control_period / 3600.0,
-        minutes=float(last["seconds"]) / 60.0,
+        minutes=float(last["processor_seconds"]) / 60.0,
+        processor=run.processor,
         chosen="the last of the run" if weights == "last" else "those that did best in `complex_eval` during the run",
         sensor="an ideal depth sensor" if config.sensor == SensorModel() else "a noisy depth sensor",
         results=results,

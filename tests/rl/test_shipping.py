@@ -12,7 +12,7 @@ import rl.shipping
 from rl.evaluation import evaluate
 from rl.learner import make_actor
 from rl.pretrained import read_policy
-from rl.run import Run
+from rl.run import Run, processor
 from rl.shipping import ship
 
 
@@ -24,7 +24,7 @@ def run(tmp_path, monkeypatch):
     torch.manual_seed(0)
     for name in ("policy", "policy_last"):
         run.save_policy(name, make_actor(run.config).state_dict())
-    row = {"step": 18_000, "seconds": 120.0, "processor_seconds": 200.0, "world": "hall"}
+    row = {"step": 18_000, "seconds": 500.0, "processor_seconds": 120.0, "world": "hall"}
     run.evaluations.append(row | dict.fromkeys(("success_rate", "collision_rate", "timeout_rate", "spl"), 0.5))
     return run
 
@@ -48,7 +48,22 @@ def test_the_card_tells_what_the_packed_file_does(run, tmp_path, weights):
     assert "its own command" in card
     assert "it is 0.6 s" in card
     assert "navsim train --model S" in card
-    assert "18,000 steps (1 h of robot time) in 2 min" in card
+    assert f"18,000 steps (1 h of robot time) in 2 min of processor time ({processor()})" in card
+    assert "four depth images, the goal's direction and its own command (v, ω);" in card
+    assert "It remembers nothing but its four images" in card
     assert ("the last of the run" in card) == (weights == "last")
     for part in ("Trained", "Results", "Limits"):
         assert f"## {part}" in card
+
+
+def test_the_card_of_a_robot_that_remembers_tells_what_that_needs(run, tmp_path):
+    inputs = ("depth", "heading", "command", "surroundings")
+    remembering = Run.create(tiny_config(tmp_path / "remembering", model="S", inputs=inputs))
+    remembering.save_policy("policy_last", make_actor(remembering.config).state_dict())
+    remembering.evaluations.append(run.evaluations.rows()[0])
+    (remembering.directory / "versions.json").write_text("{}")
+    card = ship(remembering, tmp_path / "shipped", "S").read_text(encoding="utf-8")
+    assert "its own command (v, ω) and what it remembers of what stood around it (odometry);" in card
+    assert "It remembers what it has seen for six seconds" in card
+    assert "nothing but its four images" not in card
+    assert "processor time (unknown)" in card
