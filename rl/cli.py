@@ -13,7 +13,7 @@ import traceback
 from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TextIO, TypeVar
 
 import tyro
 from rich.console import Console
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 FAILURE = 1
 USAGE_ERROR = 2
 INTERRUPTED = 130
+BROKEN_PIPE = 141
+"""128 and the number of SIGPIPE, which ends other programs then."""
 
 _DESCRIPTION = """Train and evaluate robots that find their way by depth images.
 
@@ -45,11 +47,23 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Returns:
         the exit status: 0, or 2 for what the user can put right (told in a sentence on standard error), or 1 for what
-        has gone wrong on the way (told likewise: a process killed, numbers that are not finite), or 130 after Ctrl-C.
-        Mistakes of this library leave as exceptions.
+        has gone wrong on the way (told likewise: a process killed, numbers that are not finite), or 130 after Ctrl-C,
+        or 141 if nobody reads on (``navsim train --help | head``). Mistakes of this library leave as exceptions.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL would tell of every buffer that it allocates
+    try:
+        status = _status_of(arguments)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        if not _is_unread(sys.stdout):
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes once more as it ends
+        return BROKEN_PIPE
+    return status
+
+
+def _status_of(arguments: list[str]) -> int:
     try:
         _dispatch(arguments)
     except SystemExit as end:  # tyro has printed help, or what is wrong with the arguments
@@ -80,6 +94,16 @@ def _dispatch(arguments: list[str]) -> None:
             args=arguments or ["--help"],
             config=(PositionalMetavarFromFieldName, DisallowNone),
         )
+
+
+def _is_unread(stream: TextIO) -> bool:
+    """Whether what is written there has no reader any more."""
+    try:
+        stream.write("\n")
+        stream.flush()
+    except BrokenPipeError:
+        return True
+    return False
 
 
 def _is_for_the_user(error: ValueError | OSError) -> bool:

@@ -77,6 +77,20 @@ def process(arguments: Sequence[str], directory: Path) -> subprocess.Popen[str]:
     )
 
 
+@pytest.mark.parametrize(
+    ("arguments", "status"),
+    [(["--help"], 141), (["train", "--help"], 141), (["world", "check", "complex_train"], 1)],  # 1 is rich's own
+)
+def test_a_reader_that_has_read_enough_is_no_mistake(arguments, status):
+    """As "navsim train --help | head" does, whether the command still writes then, or only flushes."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [sys.executable, "-m", "rl.cli", *arguments]
+    done = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (status, "")
+
+
 # The whole line
 
 
