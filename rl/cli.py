@@ -177,8 +177,7 @@ def evaluate(
     """
     from navsim.randomization import Randomization
     from navsim.sensor import SensorModel
-    from rl.evaluation import comparison_table
-    from rl.evaluation import evaluate as drive
+    from rl.evaluation import comparison_table, evaluate_as_trained
     from rl.policies import find_policy
 
     console = Console()
@@ -187,16 +186,13 @@ def evaluate(
         raise ValueError(
             f"{run} was trained without randomization, so there is nothing to draw: leave --randomized out"
         )
-    result = drive(
+    result = evaluate_as_trained(
         policy,
+        config,
         world,
         name=Path(run).name,
-        camera=config.camera,
-        task=config.task,
-        robot=config.robot,
-        sensor=SensorModel() if ideal else config.sensor,
+        sensor=SensorModel() if ideal else None,
         randomization=config.randomization if randomized else None,
-        frame_interval=config.frame_interval,
         seed=seed,
         num_paths=num_paths,
         console=console,

@@ -12,9 +12,10 @@ from rich.console import Console
 from tensordict import TensorDictBase
 
 from navsim.animation import animate_episode, check_animation_path
+from navsim.sensor import SensorModel
 from navsim.world import Goal, Start
 from navsim.worldfile import load_world
-from rl.evaluation import PathResult, Planner, evaluate
+from rl.evaluation import PathResult, Planner, evaluate_as_trained
 from rl.policies import find_policy
 from rl.surroundings import REACH
 
@@ -64,14 +65,12 @@ def drive(
         goals = goals[:1]
     driver, config = find_policy(policy)
     watched = driver if isinstance(driver, Planner) else _Watched(driver)
-    result = evaluate(
+    result = evaluate_as_trained(
         watched,
+        config,
         room.model_copy(update={"starts": starts, "goals": goals}),
         name=policy,
-        camera=config.camera,
-        task=config.task,
-        robot=config.robot,
-        frame_interval=config.frame_interval,
+        sensor=SensorModel(),  # the film shows what an ideal camera sees
         seed=seed,
         num_paths=1,
         console=console,

@@ -435,24 +435,31 @@ def evaluate_as_trained(
     config: TrainConfig,
     world: WorldSource | Sequence[WorldSource],
     *,
+    name: str = "",
+    sensor: SensorModel | None = None,
+    randomization: Randomization | None = None,
+    seed: int = 0,
     num_paths: int | None = None,
     console: Console | None = None,
 ) -> Evaluation:
-    """``evaluate`` with the camera, rules, robot, sensor and images that a policy was trained with; seed 0.
+    """``evaluate`` with the camera, rules, robot, sensor and images that a policy was trained with.
 
     Args:
-        policy: see :func:`evaluate`.
+        policy: see :func:`evaluate`, as all that is not named here.
         config: the settings that it was trained with.
-        world: see :func:`evaluate`, as the others.
+        sensor: in place of its own.
     """
     return evaluate(
         policy,
         world,
+        name=name,
         camera=config.camera,
         task=config.task,
         robot=config.robot,
-        sensor=config.sensor,
+        sensor=sensor or config.sensor,
+        randomization=randomization,
         frame_interval=config.frame_interval,
+        seed=seed,
         num_paths=num_paths,
         console=console,
     )

@@ -9,7 +9,7 @@ from torchrl.modules import QValueActor
 
 from navsim.worldsource import worlds_from
 from rl.baselines import BASELINES, Baseline, make_baseline
-from rl.evaluation import comparison_table, evaluate, few_paths
+from rl.evaluation import comparison_table, evaluate_as_trained, few_paths
 from rl.policies import load_policy
 from rl.report import write_report
 from rl.run import Run
@@ -35,18 +35,8 @@ def finish(run: Run, console: Console) -> Path:
     policies |= {name: make_baseline(name, config.camera) for name in BASELINES}
     evaluations = []
     for name, policy in policies.items():
-        result = evaluate(
-            policy,
-            worlds,
-            name=name,
-            camera=config.camera,
-            task=config.task,
-            robot=config.robot,
-            sensor=config.sensor,
-            frame_interval=config.frame_interval,
-            seed=config.seed,
-            num_paths=few_paths(worlds),
-            console=console,
+        result = evaluate_as_trained(
+            policy, config, worlds, name=name, seed=config.seed, num_paths=few_paths(worlds), console=console
         )
         result.save(run.directory / "evaluation" / f"{name}.json")
         evaluations.append(result)

@@ -30,7 +30,7 @@ from rl.checkpoints import Checkpoints, StateFile, step_of
 from rl.collect import ResumableCollector, explorer, make_collector, make_env
 from rl.config import TrainConfig
 from rl.env import NavEnv
-from rl.evaluation import Evaluation, evaluate, few_paths
+from rl.evaluation import Evaluation, evaluate_as_trained, few_paths
 from rl.feasibility import check_feasible
 from rl.learner import Learner, number_format
 from rl.memory import keep_freed_memory
@@ -425,17 +425,7 @@ class _Logs:
 
 
 def _evaluate(learner: Learner, worlds: Sequence[World], config: TrainConfig) -> Evaluation:
-    return evaluate(
-        learner.actor,
-        worlds,
-        camera=config.camera,
-        task=config.task,
-        robot=config.robot,
-        sensor=config.sensor,
-        frame_interval=config.frame_interval,
-        seed=config.seed,
-        num_paths=few_paths(worlds),
-    )
+    return evaluate_as_trained(learner.actor, config, worlds, seed=config.seed, num_paths=few_paths(worlds))
 
 
 def _probe_states(worlds: Sequence[World], config: TrainConfig) -> TensorDictBase:
