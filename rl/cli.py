@@ -13,9 +13,10 @@ import traceback
 from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TextIO, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TextIO, TypeVar, get_type_hints
 
 import tyro
+from docstring_parser import parse_from_object
 from rich.console import Console
 from tyro.conf import DisallowNone, FlagCreatePairsOff, OmitArgPrefixes, Positional, PositionalMetavarFromFieldName, arg
 from tyro.extras import SubcommandApp
@@ -430,12 +431,15 @@ def _parse(arguments: Sequence[str], default: "TrainConfig") -> tuple["TrainConf
         names = [setting.name for setting in dataclasses.fields(kind)]  # type: ignore[arg-type]
         return kind(**{name: getattr(default, name) for name in names})
 
+    def documented(kind: type) -> Any:
+        return arg(constructor=_documented(kind))
+
     def settings(
-        experiment: OmitArgPrefixes[Experiment] = part(Experiment),  # noqa: B008 - frozen, and made for this call
-        collection: OmitArgPrefixes[Collection] = part(Collection),  # noqa: B008
-        learning: OmitArgPrefixes[Learning] = part(Learning),  # noqa: B008
-        exploration: OmitArgPrefixes[Exploration] = part(Exploration),  # noqa: B008
-        records: OmitArgPrefixes[Records] = part(Records),  # noqa: B008
+        experiment: OmitArgPrefixes[Annotated[Experiment, documented(Experiment)]] = part(Experiment),  # noqa: B008 - frozen
+        collection: OmitArgPrefixes[Annotated[Collection, documented(Collection)]] = part(Collection),  # noqa: B008
+        learning: OmitArgPrefixes[Annotated[Learning, documented(Learning)]] = part(Learning),  # noqa: B008
+        exploration: OmitArgPrefixes[Annotated[Exploration, documented(Exploration)]] = part(Exploration),  # noqa: B008
+        records: OmitArgPrefixes[Annotated[Records, documented(Records)]] = part(Records),  # noqa: B008
         camera: DepthCamera = default.camera,
         task: Task = default.task,
         robot: Robot = default.robot,
@@ -456,6 +460,18 @@ def _parse(arguments: Sequence[str], default: "TrainConfig") -> tuple["TrainConf
         resume: Go on with the run in the run's directory, as it was begun, if there is one.
     """
     return tyro.cli(settings, prog="navsim train", args=arguments)
+
+
+def _documented(kind: type[_Part]) -> type[_Part]:
+    """The dataclass with each field's docstring as its help in one piece; tyro keeps the source's line breaks."""
+    hints = get_type_hints(kind, include_extras=True)
+    told = {field.arg_name: " ".join((field.description or "").split()) for field in parse_from_object(kind).params}
+    fields: list[Any] = [
+        (setting.name, Annotated[hints[setting.name], arg(help=told[setting.name])], setting)
+        for setting in dataclasses.fields(kind)  # type: ignore[arg-type]
+    ]
+    namespace = {"__doc__": kind.__doc__}
+    return dataclasses.make_dataclass(kind.__name__, fields, bases=(kind,), namespace=namespace, frozen=True)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Sequence
 from importlib import metadata
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -75,6 +76,17 @@ def process(arguments: Sequence[str], directory: Path) -> subprocess.Popen[str]:
         stderr=subprocess.PIPE,
         text=True,
     )
+
+
+def test_help_breaks_lines_where_the_terminal_ends_not_where_the_source_does(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["train", "--help"]) == 0
+    lines = capsys.readouterr().out.partition("camera options")[0].splitlines()
+    texts = [match[1] if (match := re.match(r". {7}(\S.*?) *.?$", line)) else "" for line in lines]
+    assert len([text for text in texts if text]) > 50, lines
+    for text, following in pairwise(texts):
+        if text and following:
+            assert len(text) + 1 + len(following.split()[0]) > 70, f"{text}|{following}"
 
 
 @pytest.mark.parametrize(
