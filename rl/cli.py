@@ -218,7 +218,7 @@ def drive(
 
     Args:
         policy: Directory of a run, pretrained:NAME, or one of the baselines random, straight, reactive, oracle.
-        world: World file, or name of a shipped world.
+        world: World file, name of a shipped world, or a generated room such as generate:clutter,density=0.11,seed=3.
         output: Film to write: .mp4 or .gif.
         start: Which of the world's starts, counted from 0 as in pictures and reports.
         goal: Which of the world's goals, counted from 0 as in pictures and reports.

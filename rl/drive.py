@@ -14,7 +14,7 @@ from tensordict import TensorDictBase
 from navsim.animation import animate_episode, check_animation_path
 from navsim.sensor import SensorModel
 from navsim.world import Goal, Start
-from navsim.worldfile import load_world
+from navsim.worldsource import world_from
 from rl.evaluation import PathResult, Planner, evaluate_as_trained
 from rl.policies import find_policy
 from rl.surroundings import REACH
@@ -37,7 +37,7 @@ def drive(
 
     Args:
         policy: what ``rl.policies.find_policy`` takes: a run's directory, ``pretrained:NAME``, or a baseline.
-        world: a world file, or the name of a shipped world.
+        world: a world file, the name of a shipped world, or a generated room, such as ``generate:clutter,seed=3``.
         output: film to write, ``.mp4`` or ``.gif``.
         start: which of the world's starts, counted from 0 as in pictures, reports and messages; by default the first.
         goal: which of the world's goals, counted from 0; by default the one that is farthest from the start.
@@ -51,10 +51,10 @@ def drive(
     Raises:
         ValueError: for a file name with another suffix, or a start or goal that the world does not have.
         RunError: for a policy that there is not, or that cannot be used.
-        navsim.WorldError: for a world file that cannot be used.
+        navsim.WorldError: for a world that cannot be used.
     """
     check_animation_path(output)
-    room = load_world(world)
+    room = world_from(world)
     starts = _chosen("start", room.starts, start, room.name)
     goals = _chosen("goal", room.goals, goal, room.name)
     if not isinstance(starts, str) and start is None:

@@ -11,6 +11,7 @@ import rl.drive
 from navsim.camera import DepthCamera
 from navsim.raycast import render_depth
 from navsim.worldfile import load_world
+from navsim.worldsource import world_from
 from rl.cli import main
 from rl.config import TrainConfig
 from rl.drive import drive
@@ -84,6 +85,11 @@ def test_by_default_it_drives_from_the_first_start_to_the_goal_farthest_from_it(
     assert np.hypot(*np.subtract(result.goal, world.starts[0].at)) == pytest.approx(np.hypot(*offsets.T).max())
 
 
+def test_it_drives_in_a_generated_room(filmed, tmp_path):
+    drive("straight", "generate:clutter,density=0.05,seed=3", tmp_path / "a.gif")
+    assert filmed["world"] == world_from("generate:clutter,density=0.05,seed=3")
+
+
 def test_a_drive_makes_a_film(run, tmp_path, capsys):
     film = tmp_path / "drive.gif"
     assert main(["drive", str(run.directory), "--world", "simple_eval", "-o", str(film)]) == 0
@@ -97,6 +103,7 @@ def test_a_drive_makes_a_film(run, tmp_path, capsys):
         (["oracle", "--world", "simple_eval", "-o", "a.avi"], r"a.avi: animations are written as .gif or .mp4"),
         (["oracle", "--world", "simple_eval", "--start", "9"], 'world "simple_eval" has starts 0 to 4; --start asks'),
         (["pretrained:nonsense", "--world", "simple_eval"], 'no policy "pretrained:nonsense"'),
+        (["oracle", "--world", "generate:clutter,count=2"], "one world is wanted here, not 2; leave count out"),
         (["oracel", "--world", "simple_eval"], 'did you mean "oracle"?'),
     ],
 )
