@@ -95,6 +95,11 @@ ROWS: dict[str, Row] = {
     "fast-12-steps": Row(
         "preset fast, twelve-step returns, fewer random actions", {"n_step": 12, "epsilon_end": 0.1}, "fast"
     ),
+    "S-fast-glorot": Row(
+        "preset fast, D3QN-S, weights for the heading begin as all others",
+        {"model": "S", "heading_init": "glorot"},
+        "fast",
+    ),
     "S-glorot": Row("D3QN-S, weights for the heading begin as all others", {"model": "S", "heading_init": "glorot"}),
     "inverse": Row("sees depth inverted", {"depth_scale": "inverse"}),
     "S-inverse": Row("D3QN-S, sees depth inverted", {"model": "S", "depth_scale": "inverse"}),
