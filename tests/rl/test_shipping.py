@@ -60,10 +60,11 @@ def test_the_card_of_a_robot_that_remembers_tells_what_that_needs(run, tmp_path)
     inputs = ("depth", "heading", "command", "surroundings")
     remembering = Run.create(tiny_config(tmp_path / "remembering", model="S", inputs=inputs))
     remembering.save_policy("policy_last", make_actor(remembering.config).state_dict())
-    remembering.evaluations.append(run.evaluations.rows()[0])
+    remembering.evaluations.append(run.evaluations.rows()[0] | {"step": 256})  # of 512: it was interrupted
     (remembering.directory / "versions.json").write_text("{}")
     card = ship(remembering, tmp_path / "shipped", "S").read_text(encoding="utf-8")
     assert "its own command (v, ω) and what it remembers of what stood around it (odometry);" in card
     assert "It remembers what it has seen for six seconds" in card
     assert "nothing but its four images" not in card
     assert "processor time (unknown)" in card
+    assert "256 of these steps" in card
