@@ -17,6 +17,7 @@ from rl.config import TrainConfig
 from rl.learner import make_actor
 from rl.pretrained import LARGEST_FILE, load_pretrained, pack_policy, pretrained_policies, read_policy
 from rl.run import Run, RunError
+from rl.surroundings import SECTORS
 
 CAMERA = DepthCamera(width=14, height=10)
 
@@ -31,7 +32,9 @@ def run(tmp_path: Path) -> Run:
 
 def observations(camera: DepthCamera, count: int = 32) -> TensorDict:
     depth = torch.randint(0, 256, (count, 4, camera.height, camera.width), dtype=torch.uint8)
-    return TensorDict({"depth": depth, "heading": torch.linspace(-3.0, 3.0, count).unsqueeze(-1)}, [count])
+    heading = torch.linspace(-3.0, 3.0, count).unsqueeze(-1)
+    remembered = {"command": torch.zeros(count, 2), "surroundings": 2.0 * torch.rand(count, SECTORS)}
+    return TensorDict({"depth": depth, "heading": heading, **remembered}, [count])
 
 
 def test_a_packed_policy_is_the_run_s_but_for_half_precision(run, tmp_path):
