@@ -12,7 +12,17 @@ import pytest
 from navsim.camera import DepthCamera
 from navsim.randomization import Randomization
 from navsim.sensor import KINECT
-from rl.config import PRESETS, Collection, ConfigError, Experiment, Exploration, Learning, Records, TrainConfig
+from rl.config import (
+    DEFAULT_PRESET,
+    PRESETS,
+    Collection,
+    ConfigError,
+    Experiment,
+    Exploration,
+    Learning,
+    Records,
+    TrainConfig,
+)
 
 
 def test_thesis_preset_holds_the_numbers_of_section_5_3():
@@ -25,6 +35,16 @@ def test_thesis_preset_holds_the_numbers_of_section_5_3():
     assert (thesis.inputs, thesis.depth_scale, thesis.frame_interval) == (("depth", "heading"), "linear", 1)
     assert thesis.heading_init == "glorot"
     assert (thesis.mirror, thesis.prioritized, thesis.random_paths) == (False, False, False)
+
+
+def test_fast_is_the_default_and_differs_from_memoryless_in_what_the_robot_sees_and_how_long_it_learns():
+    fast, memoryless = (PRESETS[name].to_dict() for name in (DEFAULT_PRESET, "memoryless"))
+    assert {name for name, value in fast.items() if value != memoryless[name]} == {
+        *("preset", "inputs", "depth_scale", "total_steps", "eval_interval", "checkpoint_interval")
+    }
+    assert (fast["inputs"], fast["depth_scale"]) == (["depth", "heading", "command", "surroundings"], "inverse")
+    assert (fast["total_steps"], memoryless["total_steps"]) == (100_000, 200_000)
+    assert memoryless["inputs"] == ["depth", "heading"]
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -10,6 +10,7 @@ import torch
 import rl.drive
 from navsim.camera import DepthCamera
 from navsim.raycast import render_depth
+from navsim.sensor import KINECT, SensorModel
 from navsim.worldfile import load_world
 from navsim.worldsource import world_from
 from rl.cli import main
@@ -83,6 +84,21 @@ def test_by_default_it_drives_from_the_first_start_to_the_goal_farthest_from_it(
     np.testing.assert_allclose(result.trajectory[0, :2], world.starts[0].at)
     offsets = np.subtract([goal.at for goal in world.goals], world.starts[0].at)
     assert np.hypot(*np.subtract(result.goal, world.starts[0].at)) == pytest.approx(np.hypot(*offsets.T).max())
+
+
+def test_a_film_is_what_an_ideal_camera_sees(filmed, monkeypatch, tmp_path):
+    noisy = Run.create(TrainConfig(camera=DepthCamera(width=14, height=10), sensor=KINECT, out=tmp_path / "noisy"))
+    noisy.save_policy("policy", make_actor(noisy.config).state_dict())
+    seen = []
+    evaluate = rl.drive.evaluate_as_trained
+
+    def note(*arguments, **settings):
+        seen.append(settings["sensor"])
+        return evaluate(*arguments, **settings)
+
+    monkeypatch.setattr(rl.drive, "evaluate_as_trained", note)
+    drive(str(noisy.directory), "simple_eval", tmp_path / "a.gif")
+    assert seen == [SensorModel()]
 
 
 def test_it_drives_in_a_generated_room(filmed, tmp_path):
