@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import subprocess
 import sys
 from dataclasses import replace
@@ -12,6 +13,7 @@ from pathlib import Path
 import pytest
 import torch
 
+import rl.run
 from navsim.camera import DepthCamera
 from navsim.worldfile import load_world
 from rl.cli import main
@@ -108,3 +110,18 @@ def test_processes_evaluate_a_policy_alike_to_the_byte(run, tmp_path):
         first, second = ((tmp_path / f"{number}-{kind}.json").read_bytes() for number in (1, 2))
         assert json.loads(first)["paths"]
         assert first == second
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (
+            "processor\t: 0\nmodel\t\t: 17\nmodel name\t: AMD EPYC\ncpu family\t: 25\n\nprocessor\t: 1\nmodel\t: 1\n",
+            "AMD EPYC (family 25, model 17)",
+        ),
+        ("processor\t: 0\nCPU architecture: 8\n", platform.processor() or platform.machine()),  # as on ARM
+    ],
+)
+def test_the_processor_is_told_with_its_generation_where_the_system_knows(monkeypatch, content, expected):
+    monkeypatch.setattr(rl.run.Path, "read_text", lambda path, encoding: content)
+    assert rl.run.processor() == expected
