@@ -5,21 +5,20 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
-import multiprocessing
 import os
 import tempfile
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 from rich.console import Console
 from rich.table import Table
 
-from navsim.processes import deaths_told, end_with_parent
+from navsim.processes import map_in_processes
 from rl.config import PRESETS, TrainConfig
 from rl.run import versions, write_json
 
@@ -84,14 +83,12 @@ def run(
         key = f"{'exact' if exact else 'batch64'}-{kind}-{steps}"
         if key not in results["runs"]:
             with console.status(f"training with the {kind} collector, {steps:,} steps"):
-                pool = ProcessPoolExecutor(
-                    1,
-                    mp_context=multiprocessing.get_context("spawn"),
-                    initializer=end_with_parent,
-                    initargs=(os.getpid(),),
+                (results["runs"][key],) = map_in_processes(
+                    partial(measure, kind, steps),
+                    [exact],
+                    what="that train",
+                    remedy="run the command again: what is in its file is not measured anew",
                 )
-                with deaths_told("that train", "run the command again: what is in its file is not measured anew"), pool:
-                    results["runs"][key] = pool.submit(measure, kind, steps, exact).result()
             write_json(out, results)
     rows = {kind: results["runs"][f"{'exact' if exact else 'batch64'}-{kind}-{steps}"] for kind in collectors}
     console.print(

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 
 from navsim.generate.rooms import RoomSettings
-from navsim.processes import deaths_told, end_with_parent
+from navsim.processes import map_in_processes
 from navsim.world import World
 from navsim.worldfile import dump_world, write_atomically
 
@@ -49,21 +47,16 @@ def write_rooms(
 
 
 def _written(settings: RoomSettings, files: list[Path], first: int) -> Iterator[tuple[World, Path]]:
-    write, indices = partial(_write_room, settings), range(first, first + len(files))
-    if len(files) < _WORTH_PROCESSES:
-        yield from map(write, indices, files)
+    write, rooms = partial(_write_room, settings), list(enumerate(files, first))
+    if len(rooms) < _WORTH_PROCESSES:
+        yield from map(write, rooms)
         return
-    # Fresh processes: one that is forked off a program with threads, as PyTorch's, may wait for a lock forever.
     remedy = f"remove the rooms in {files[0].parent}, make sure of memory, and run the command again"
-    context = multiprocessing.get_context("spawn")
-    with (
-        deaths_told("that make rooms", remedy),
-        ProcessPoolExecutor(mp_context=context, initializer=end_with_parent, initargs=(os.getpid(),)) as processes,
-    ):
-        yield from processes.map(write, indices, files, chunksize=8)
+    yield from map_in_processes(write, rooms, what="that make rooms", remedy=remedy, at_once=8)
 
 
-def _write_room(settings: RoomSettings, index: int, file: Path) -> tuple[World, Path]:
+def _write_room(settings: RoomSettings, room: tuple[int, Path]) -> tuple[World, Path]:
+    index, file = room
     world = settings.room(index)
     write_atomically(file, room_text(settings, index, world))
     return world, file
