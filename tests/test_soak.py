@@ -1,0 +1,108 @@
+"""What the soak calls flat, and what it counts as memory."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+SCRIPT = Path(__file__).parents[1] / "scripts" / "soak.py"
+
+if not Path("/proc/self/smaps_rollup").exists():
+    pytest.skip("the soak looks into Linux's /proc", allow_module_level=True)
+
+
+@pytest.fixture(scope="module")
+def soak():
+    specification = importlib.util.spec_from_file_location("soak", SCRIPT)
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+def measured(memory=1.0, speed=1.0, files=0, **left):
+    """Two hours of which the last quarter has so much more memory and speed, and so many more files, than the rest."""
+    seconds = np.arange(0.0, 7200.0, 5.0)
+    late = seconds > 5400.0
+    cpu = 1.3 * seconds
+    step = np.cumsum(np.where(late, speed, 1.0) * 5.0 * 200.0)
+    samples = {
+        "seconds": seconds,
+        "step": 4000 * (step // 4000),  # as the log tells it
+        "memory": np.where(late, memory, 1.0) * 1.6e9 + 1e8 * (seconds % 300.0 < 20.0),  # evaluations take some
+        "files": np.where(late, 160 + files, 160),
+        "cpu": cpu,
+    }
+    return {
+        "replay_capacity": 50_000,
+        "evaluation_interval": 12_500,
+        "processes_left": 0,
+        "shared_memory_left": [],
+        "samples": {key: values.tolist() for key, values in samples.items()},
+        **left,
+    }
+
+
+@pytest.mark.parametrize(
+    ("results", "failed"),
+    [
+        (measured(), set()),
+        (measured(memory=1.018, speed=1.04), set()),
+        (measured(memory=1.025), {"memory"}),
+        (measured(memory=0.97), {"memory"}),
+        (measured(speed=0.93), {"speed"}),
+        (measured(speed=1.07), {"speed"}),
+        (measured(files=1), {"files"}),
+        (measured(files=-1), set()),
+        (measured(processes_left=1), {"left"}),
+        (measured(shared_memory_left=["torch_1_2"]), {"left"}),
+    ],
+)
+def test_what_is_not_flat_fails(soak, results, failed):
+    assert {name for name, verdict in soak.judge(results).items() if not verdict["passed"]} == failed
+
+
+def test_what_was_measured_is_judged_and_drawn_again(tmp_path):
+    results, picture = tmp_path / "soak.json", tmp_path / "soak.png"
+    command = [sys.executable, SCRIPT, "--redraw", "--results", results, "--picture", picture]
+    for given, status, words in ((measured(), 0, "passed  memory"), (measured(memory=1.1), 1, "FAILED  memory")):
+        results.write_text(json.dumps(given))
+        done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
+        assert done.returncode == status, done.stderr
+        assert words in done.stdout
+        assert picture.stat().st_size > 10_000
+
+
+def test_memory_is_what_the_run_has_written_to_and_no_other_program_changes_it(soak):
+    program = "import numpy; input(); x = numpy.ones(8_000_000); print('written', flush=True); input()"
+
+    def start() -> subprocess.Popen:
+        return subprocess.Popen(
+            [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+
+    def go_on(process: subprocess.Popen) -> None:
+        process.stdin.write("\n")
+        process.stdin.flush()
+        assert process.stdout.readline() == "written\n"
+
+    with start() as one, start() as other:
+        try:
+            go_on(one)
+            beside_another = soak.look_at(psutil.Process(one.pid), {})
+            other.kill()
+            other.wait()
+            alone = soak.look_at(psutil.Process(one.pid), {})
+            assert alone["memory"] == pytest.approx(beside_another["memory"], abs=2**20)
+            assert alone["memory"] > 64e6
+            assert alone["processes"] == 1
+            assert alone["files"] == 3
+        finally:
+            one.kill()
+            other.kill()
