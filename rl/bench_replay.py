@@ -55,6 +55,7 @@ class Streams:
         self._random = np.random.default_rng(0)
         self._shape = (height, width)
         self._stack = np.repeat(self._images((_ENVS, 1)), NUM_FRAMES, axis=1)
+        self._heading = torch.rand(_ENVS, 1)
 
     def _images(self, shape: tuple[int, ...]) -> np.ndarray:
         return self._random.integers(0, 256, (*shape, *self._shape), np.uint8)
@@ -65,19 +66,21 @@ class Streams:
         depth = np.empty((_ENVS, _STEPS, NUM_FRAMES, *self._shape), np.uint8)
         after = np.empty_like(depth)
         done = self._random.random((_ENVS, _STEPS)) < 0.04
+        flag = torch.from_numpy(done).unsqueeze(-1)
+        heading, heading_after = torch.rand(2, _ENVS, _STEPS, 1)
         for step in range(_STEPS):
-            depth[:, step] = self._stack
+            depth[:, step], heading[:, step] = self._stack, self._heading
             after[:, step, :-1], after[:, step, -1] = self._stack[:, 1:], fresh[:, step]
             self._stack = after[:, step].copy()
             ended = done[:, step]
             self._stack[ended] = np.repeat(self._images((int(ended.sum()), 1)), NUM_FRAMES, axis=1)
-        flag = torch.from_numpy(done).unsqueeze(-1)
-        heading = torch.rand(_ENVS, _STEPS, 1)
-        following = {"depth": torch.from_numpy(after), "heading": heading, "reward": torch.rand(_ENVS, _STEPS, 1)}
+            self._heading = torch.where(flag[:, step], torch.rand(_ENVS, 1), heading_after[:, step])
+        reward = torch.rand(_ENVS, _STEPS, 1)
+        following = {"depth": torch.from_numpy(after), "heading": heading_after, "reward": reward}
         return TensorDict(
             {
                 "depth": torch.from_numpy(depth),
-                "heading": heading.clone(),
+                "heading": heading,
                 "action": torch.randint(0, 7, (_ENVS, _STEPS)),
                 "next": {**following, "done": flag, "terminated": flag.clone()},
             },
