@@ -125,7 +125,6 @@ def test_random_streams_for_the_replay_are_those_of_an_environment():
     assert torch.equal(same, ~done)
 
 
-@pytest.mark.slow
 def test_ways_to_store_transitions_are_compared(console, monkeypatch):
     monkeypatch.setattr(bench_replay, "SIZES", ((10, 14),))
     rows = {row.name: row for row in bench_replay.run(console, capacity=2_000)}
