@@ -14,8 +14,6 @@ import gc
 import itertools
 import os
 import re
-import stat
-import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, NoReturn
@@ -23,6 +21,7 @@ from typing import Any, Literal, NamedTuple, NoReturn
 import yaml
 
 from navsim.errors import Finding, Problem, WorldError
+from navsim.files import write_text
 from navsim.world import MOST_OBSTACLES, MOST_TOLD, World, parse_world
 
 DEEPEST_NESTING = 50
@@ -133,33 +132,7 @@ def save_world(world: World, path: str | os.PathLike[str]) -> None:
 
     The file is there as a whole or not at all: an interrupted save leaves the one that was there before.
     """
-    write_atomically(Path(path), dump_world(world))
-
-
-def write_atomically(path: Path, text: str) -> None:
-    """Writes ``text`` in UTF-8 to a temporary file beside ``path``, which then takes its place and its permissions."""
-    target = path.resolve()  # a link stays one
-    handle, temporary = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".tmp", dir=target.parent)
-    try:
-        with open(handle, "w", encoding="utf-8", newline="") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(temporary, _permissions(target))
-        os.replace(temporary, target)
-    except BaseException:
-        os.unlink(temporary)
-        raise
-
-
-def _permissions(path: Path) -> int:
-    """Those of the file at ``path``, or those that a new one gets."""
-    try:
-        return stat.S_IMODE(path.stat().st_mode)
-    except FileNotFoundError:
-        mask = os.umask(0)
-        os.umask(mask)
-        return 0o666 & ~mask
+    write_text(path, dump_world(world))
 
 
 def dump_world(world: World) -> str:

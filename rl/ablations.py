@@ -22,10 +22,11 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from navsim.draw import INK, QUIET_INK, new_figure, save_figure
+from navsim.files import atomic_write
 from rl.config import DEFAULT_PRESET, PRESETS, TrainConfig
 from rl.evaluation import Evaluation, evaluate_as_trained
 from rl.policies import load_policy
-from rl.run import Run, atomic_write, processor, versions, write_json
+from rl.run import Run, processor, versions, write_json
 from rl.train import train
 
 DENSITY = 0.11

@@ -20,7 +20,8 @@ from typing import Any
 
 from torchrl.checkpoint import Checkpoint, CheckpointRotation, StateDictCheckpointAdapter
 
-from rl.run import RunError, flush_to_disk, writing
+from navsim.files import flush_to_disk
+from rl.run import RunError, writing
 from rl.safe_loading import nothing_executed_from
 
 KEPT = 3

@@ -71,14 +71,14 @@ def schema(
         output: File to write instead.
         markdown: The format as a reference page in Markdown.
     """
+    from navsim.files import write_text
     from navsim.schema import reference, schema_text
-    from navsim.worldfile import write_atomically
 
     text = reference() if markdown else schema_text()
     if output is None:
         print(text, end="")
     else:
-        write_atomically(output, text)
+        write_text(output, text)
         print(output)
 
 

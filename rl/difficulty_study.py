@@ -22,10 +22,10 @@ from scipy.stats import spearmanr
 from navsim.camera import DepthCamera
 from navsim.difficulty import COEFFICIENTS, Measures, measure
 from navsim.draw import INK, QUIET_INK, new_figure, save_figure
+from navsim.files import atomic_write
 from navsim.generate import KINDS, RoomSettings
 from rl.baselines import make_baseline
 from rl.evaluation import evaluate, wilson_interval
-from rl.run import atomic_write
 
 DENSITIES = {
     "clutter": (0.05, 0.11, 0.2),

@@ -24,6 +24,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from navsim.camera import DepthCamera
 from navsim.dynamics import dynamic_obstacles
+from navsim.files import atomic_write
 from navsim.physics import obstacle_poses_along
 from navsim.planner import shortest_path_length
 from navsim.randomization import Randomization
@@ -35,7 +36,6 @@ from navsim.world import World
 from navsim.worldsource import WorldSource, worlds_from
 from rl.config import TrainConfig
 from rl.observation import history_length, stack_of
-from rl.run import atomic_write
 from rl.surroundings import Surroundings
 
 Outcome = Literal["success", "collision", "timeout"]

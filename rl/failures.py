@@ -15,6 +15,7 @@ from rich.console import Console
 
 from navsim.camera import DepthCamera
 from navsim.draw import INK, OUTCOME_COLOURS, draw_goal, draw_paths, draw_world, new_figure, save_figure
+from navsim.files import atomic_write
 from navsim.raycast import render_depth
 from navsim.robot import TURTLEBOT2
 from navsim.world import World
@@ -23,7 +24,6 @@ from rl.evaluation import Evaluation, PathResult, evaluate_as_trained
 from rl.figures import describe
 from rl.observation import NUM_FRAMES
 from rl.policies import find_policy
-from rl.run import atomic_write
 
 KINDS = {
     "unseen": "What came too near was in none of the four images that the robot had before: it turned into it, or "

@@ -15,9 +15,10 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torchrl.modules import QValueActor
 
+from navsim.files import atomic_write
 from rl.config import TrainConfig
 from rl.learner import make_actor, shapes_of_weights
-from rl.run import POLICY_FILES, Run, RunError, atomic_write
+from rl.run import POLICY_FILES, Run, RunError
 from rl.weights import misfit
 
 PREFIX = "pretrained:"

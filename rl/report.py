@@ -18,6 +18,7 @@ from torchrl.modules import QValueActor
 
 from navsim.animation import animate_episode
 from navsim.draw import draw_depth_stack, figure_png, new_figure
+from navsim.files import atomic_write
 from navsim.raycast import render_depth
 from navsim.scan import obstacle_depth
 from navsim.task import heading
@@ -36,7 +37,7 @@ from rl.figures import (
 )
 from rl.observation import NUM_FRAMES, history_length
 from rl.policies import load_policy
-from rl.run import Run, RunError, atomic_write
+from rl.run import Run, RunError
 from rl.surroundings import remembered_at_end
 
 

@@ -25,6 +25,7 @@ from torchrl.modules import QValueActor
 
 from navsim.camera import DepthCamera
 from navsim.draw import ACTION_LABELS, INK, OUTCOME_COLOURS, QUIET_INK, new_figure, save_figure
+from navsim.files import atomic_write
 from navsim.raycast import render_depth
 from navsim.worldfile import load_world
 from rl.config import PRESETS, Model, TrainConfig
@@ -32,7 +33,7 @@ from rl.evaluation import Evaluation, evaluate
 from rl.figures import choose_examples, example_paths
 from rl.observation import NUM_FRAMES
 from rl.policies import load_policy
-from rl.run import Run, atomic_write, write_json
+from rl.run import Run, write_json
 from rl.train import train
 
 ROOMS = ("simple", "complex")

@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 
 from rich.console import Console
 
+from navsim.files import atomic_write
 from rl.ablations import COMPLEX, PLACES, ROWS, UNSEEN, UNSEEN_PATHS, rates_of
 from rl.baselines import BASELINES, make_baseline
 from rl.evaluation import evaluate
-from rl.run import atomic_write, write_json
+from rl.run import write_json
 
 VARIANT = "fast"
 """The row of the best named variant, which ``make train`` trains."""

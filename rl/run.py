@@ -24,19 +24,18 @@ import io
 import json
 import os
 import platform
-import re
 import shutil
 import sys
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 from warnings import warn
 
 import torch
 
+from navsim.files import TEMPORARY, atomic_write
 from navsim.worldfile import read_file
 from navsim.worldsource import is_generated
 from rl.config import TrainConfig
@@ -91,40 +90,6 @@ def _refused(path: Path, reason: str, full: bool) -> RunError:
         f"{path} could not be written ({reason}{free}): the run has stopped, what was written before is intact; "
         f"{remedy}, then go on with --resume"
     )
-
-
-def flush_to_disk(path: Path) -> None:
-    """Has the system write a file's content, or a directory's list of names, to the disk, and waits for it."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
-@contextmanager
-def atomic_write(path: Path, mode: str = "w") -> Iterator[IO[Any]]:
-    """A file that takes ``path``'s place when it is complete, and leaves no trace when it is not."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, mode, encoding=None if "b" in mode else "utf-8") as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        # mkstemp makes files that only their owner can read; a result is as readable as any other file.
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(name, 0o666 & ~mask)
-        os.replace(name, path)
-        flush_to_disk(path.parent)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
-
-
-_TEMPORARY = re.compile(r"\..+\.[a-z0-9_]{8}")
-"""Names of the files that ``atomic_write`` leaves where the process is killed meanwhile."""
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -358,7 +323,7 @@ class Run:
         """Removes the temporary files of a process that was killed while it wrote."""
         for place in (self.directory, *self.directory.glob("worlds/**"), self.directory / "evaluation"):
             for path in place.glob(".*"):
-                if _TEMPORARY.fullmatch(path.name) and path.is_file():
+                if TEMPORARY.fullmatch(path.name) and path.is_file():
                     path.unlink()
 
     def save_policy(self, name: str, state_dict: Mapping[str, torch.Tensor]) -> None:

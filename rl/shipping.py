@@ -9,13 +9,14 @@ from typing import Literal
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from rich.console import Console
 
+from navsim.files import atomic_write
 from navsim.sensor import SensorModel
 from rl.ablations import UNSEEN_PATHS, UNSEEN_ROOMS, arguments_of
 from rl.baselines import make_baseline
 from rl.config import TrainConfig
 from rl.evaluation import Evaluation, evaluate_as_trained
 from rl.pretrained import pack_policy, read_policy
-from rl.run import Run, atomic_write
+from rl.run import Run
 
 PLACES: tuple[tuple[str, str, int | None], ...] = (
     ("`complex_eval`", "complex_eval", None),

@@ -12,12 +12,13 @@ from safetensors.torch import save
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from navsim.files import atomic_write
 from navsim.robot import ACTIONS
 from navsim.task import Task
 from rl.config import TrainConfig
 from rl.learner import Learner, name_in_network
 from rl.progress import TrainingProgress
-from rl.run import Run, atomic_write, writing
+from rl.run import Run, writing
 
 _OBSERVED = ("heading", "pose", ("next", "heading"), ("next", "pose"), ("next", "reward"))
 """Floating-point entries of a collected batch; images are whole numbers."""

@@ -27,7 +27,8 @@ from matplotlib.ticker import EngFormatter
 from rich.console import Console
 
 from navsim.draw import INK, QUIET_INK, new_figure, save_figure
-from rl.run import Run, atomic_write, processor, versions
+from navsim.files import atomic_write
+from rl.run import Run, processor, versions
 
 SHARED_MEMORY = Path("/dev/shm")
 SAMPLE_SECONDS = 5.0

@@ -13,8 +13,9 @@ from navsim.convert.mjcf import save_mjcf
 from navsim.convert.ros_map import load_ros_map, save_ros_map
 from navsim.convert.scene import Room
 from navsim.convert.sdf import Approximation, load_sdf, save_sdf
-from navsim.convert.textfile import read_bytes, write_text
+from navsim.convert.textfile import read_bytes
 from navsim.convert.yamlfile import read_yaml
+from navsim.files import write_text
 from navsim.world import World
 from navsim.worldfile import dump_world
 

@@ -13,8 +13,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from navsim.convert.sdf import moving_notes, unused
-from navsim.convert.textfile import write_text
 from navsim.convert.xmlfile import XmlWriter, number, numbers
+from navsim.files import write_text
 from navsim.prism import Prism
 from navsim.world import Box, Cylinder, World
 

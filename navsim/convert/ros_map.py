@@ -16,8 +16,8 @@ from navsim.convert.errors import ConversionError
 from navsim.convert.images import read_image
 from navsim.convert.raster import IntricateError, check_borders, fill_pockets, occupied_cells, outlines
 from navsim.convert.scene import Room, Scene, Solid, world_of
-from navsim.convert.textfile import replacing, write_text
 from navsim.convert.yamlfile import Node, read_yaml
+from navsim.files import atomic_write, write_text
 from navsim.polygon import signed_area
 from navsim.robot import TURTLEBOT2
 from navsim.world import Walls, World
@@ -234,9 +234,9 @@ def save_ros_map(
     prisms = [prism for prism in world.prisms if prism.overlaps_heights(low, high)]
     cells = occupied_cells(prisms, origin, resolution, (rows, columns))
     picture = target.with_suffix(".pgm")
-    with replacing(picture) as temporary:
-        pixels = np.where(cells[::-1], _OCCUPIED, _FREE).astype(np.uint8)
-        temporary.write_bytes(f"P5\n{columns} {rows}\n255\n".encode() + pixels.tobytes())
+    pixels = np.where(cells[::-1], _OCCUPIED, _FREE).astype(np.uint8)
+    with atomic_write(picture, "wb") as file:
+        file.write(f"P5\n{columns} {rows}\n255\n".encode() + pixels.tobytes())
     write_text(
         target,
         f"image: {_quoted(picture.name)}\nmode: trinary\nresolution: {resolution:.10g}\n"

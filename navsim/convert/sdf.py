@@ -23,9 +23,9 @@ from navsim.convert.meshes import MeshError, mesh_points
 from navsim.convert.models import ModelFinder
 from navsim.convert.poses import Scope, frame_of
 from navsim.convert.scene import Place, Room, Scene, Solid, world_of
-from navsim.convert.textfile import write_text
 from navsim.convert.upright import Standing, box_around, prism_around, upright_box, upright_cylinder, upright_polygon
 from navsim.convert.xmlfile import MOST_ELEMENTS, Element, XmlWriter, number, numbers, read_xml
+from navsim.files import write_text
 from navsim.polygon import Vertex
 from navsim.world import Box, Cylinder, Obstacle, World
 

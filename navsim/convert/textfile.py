@@ -1,10 +1,8 @@
-"""Reading the bytes of small text files, and writing files so that nobody ever sees half of one."""
+"""Reading the bytes of small text files."""
 
 from __future__ import annotations
 
-import contextlib
 import os
-from collections.abc import Iterator
 from pathlib import Path
 
 from navsim.convert.errors import ConversionError
@@ -33,21 +31,3 @@ def read_bytes(path: str | os.PathLike[str], largest: int = LARGEST_TEXT) -> byt
     if len(content) > largest:
         raise ConversionError(str(path), 0, f"is larger than {largest // 2**20} MiB; split it")
     return content
-
-
-@contextlib.contextmanager
-def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """The name of a temporary file beside ``path``, which replaces it when all went well and vanishes otherwise."""
-    target = Path(path)
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
-    try:
-        yield temporary
-        temporary.replace(target)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Writes a file at one stroke."""
-    with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")

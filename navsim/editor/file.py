@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from navsim.errors import WorldError
-from navsim.worldfile import SHIPPED_WORLDS_DIRECTORY, shipped_worlds, write_atomically
+from navsim.files import write_text
+from navsim.worldfile import SHIPPED_WORLDS_DIRECTORY, shipped_worlds
 
 LARGEST_TEXT = 4 * 2**20
 """Bytes of a file that the editor opens."""
@@ -112,7 +113,7 @@ class EditedFile:
             what = "has been changed by another program" if content is not None else "has been deleted"
             raise ChangedOnDiskError(f"{self.path} {what} since it was read", self.state())
         new = _with_breaks_of(_decoded_loosely(content), text)
-        write_atomically(self.path, new)
+        write_text(self.path, new)
         return FileState(text, _stamp(new.encode()))
 
     def _content(self) -> bytes | None:

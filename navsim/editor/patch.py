@@ -137,6 +137,8 @@ def _edited(text: str, edit: Mapping[str, Any]) -> str:
         where, changes = _set(tree, data, edit)
     new = _applied(text, changes)
     try:
+        if edit["op"] == "set":
+            new = _with_own_values(new, edit, data)
         is_as_meant = _says(Tree(new).root.data(), data, tree, edit)
     except (yaml.YAMLError, KeyError, AttributeError, TypeError):
         is_as_meant = False
@@ -169,6 +171,22 @@ def _set(tree: Tree, data: Any, edit: Mapping[str, Any]) -> tuple[list[Any], lis
     if tree.root.own(name).target is not None:  # type: ignore[union-attr]
         return [name, i], [*_write(tree, tree.root.own(name), data[name], 1)]  # type: ignore[arg-type]
     return [name, i], [*_write(tree, node, intended, 1)]
+
+
+def _with_own_values(text: str, edit: Mapping[str, Any], intended: Mapping[str, Any]) -> str:
+    """``text`` in which what was set holds no alias that has changed with it: others may follow, itself may not."""
+    for _ in range(text.count("*")):  # each time, there is an alias less
+        tree = Tree(text)
+        if edit["where"]:
+            node, (name, i) = _entry(tree, edit["where"])
+            changes = [*_write(tree, node, intended[name][i], 1)]
+        else:
+            values = [(tree.root.own(key), intended[key]) for key in edit["values"] if key in intended]
+            changes = [change for own, value in values if own is not None for change in _write(tree, own, value, 1)]
+        if not changes:
+            break
+        text = _applied(text, changes)
+    return text
 
 
 def _add(tree: Tree, data: Any, edit: Mapping[str, Any]) -> tuple[list[Any], list[_Change]]:
@@ -284,7 +302,7 @@ def _says(new: Any, intended: Any, tree: Tree, edit: Mapping[str, Any]) -> bool:
         touched = [_entry(tree, edit["where"])[0]] if edit["where"] else [value for value in own if value is not None]
 
     def may_differ(node: Node | None) -> bool:
-        return node is not None and any(node is other or _reaches(node, other) for other in touched)
+        return node is not None and node not in touched and any(_reaches(node, other) for other in touched)
 
     for key, value in intended.items():
         node = tree.root.own(key)

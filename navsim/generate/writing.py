@@ -7,10 +7,11 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
+from navsim.files import write_text
 from navsim.generate.rooms import RoomSettings
 from navsim.processes import map_in_processes
 from navsim.world import World
-from navsim.worldfile import dump_world, write_atomically
+from navsim.worldfile import dump_world
 
 _WORTH_PROCESSES = 64
 """Rooms from which on every processor makes some: it takes a second to begin."""
@@ -58,7 +59,7 @@ def _written(settings: RoomSettings, files: list[Path], first: int) -> Iterator[
 def _write_room(settings: RoomSettings, room: tuple[int, Path]) -> tuple[World, Path]:
     index, file = room
     world = settings.room(index)
-    write_atomically(file, room_text(settings, index, world))
+    write_text(file, room_text(settings, index, world))
     return world, file
 
 

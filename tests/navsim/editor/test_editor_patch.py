@@ -207,6 +207,18 @@ def test_numbers_keep_the_style_of_those_they_replace():
     assert set_in(text, ["obstacles", 0], at=[-0.0, 1e-7]) == text.replace("[1, 2.50]", "[0, 1e-07]")
 
 
+def test_settings_of_an_entry_that_share_a_value_part_when_one_is_set():
+    text = ROOM + "obstacles:\n  - box: {at: [1, 2], size: [&a 3.0, &b 2.0], base: *a, height: *b}\n"
+    set_in_one = set_in(text, ["obstacles", 0], size=[3.0, 0.5])
+    assert set_in_one.endswith("  - box: {at: [1, 2], size: [&a 3.0, &b 0.5], base: *a, height: 2.0}\n")
+    set_in_both = set_in(text, ["obstacles", 0], size=[0.25, 0.5], height=1.0)
+    assert set_in_both.endswith("  - box: {at: [1, 2], size: [&a 0.25, &b 0.5], base: 3.0, height: 1.0}\n")
+    text = "format: 1\nsize: [&a 8.0, *a]\n"
+    assert patched(text, [{"op": "set", "where": [], "values": {"size": [4.0, 8.0]}}]) == text.replace(
+        "[&a 8.0, *a]", "[&a 4.0, 8.0]"
+    )
+
+
 def test_a_number_that_stays_stays_as_it_is_written():
     text = ROOM + "obstacles:\n  - cylinder: {at: [1.1234567891, 2.000], radius: +.5, height: 1}\n"
     assert set_in(text, ["obstacles", 0], at=[1.1234567891, 2], radius=0.5) == text

@@ -1,0 +1,57 @@
+"""Files that are there as a whole or not at all."""
+
+import os
+import stat
+
+import pytest
+
+from navsim.files import TEMPORARY, atomic_write, write_text
+
+
+def test_what_is_written_has_its_line_ends_and_a_place_made_for_it(tmp_path):
+    path = tmp_path / "not" / "yet" / "there.txt"
+    write_text(path, "one\r\ntwo\né")
+    assert path.read_bytes() == b"one\r\ntwo\n\xc3\xa9"
+    with atomic_write(path, "wb") as file:
+        file.write(b"\0\xff")
+    assert path.read_bytes() == b"\0\xff"
+    assert os.listdir(path.parent) == ["there.txt"]
+
+
+@pytest.mark.parametrize("error", [OSError("full"), KeyboardInterrupt()])
+def test_what_fails_on_the_way_leaves_what_was_there_and_no_trace(tmp_path, error):
+    path = tmp_path / "file"
+    write_text(path, "before")
+
+    def fail():
+        with atomic_write(path) as file:
+            file.write("half")
+            file.flush()
+            (meanwhile,) = set(tmp_path.iterdir()) - {path}
+            assert TEMPORARY.fullmatch(meanwhile.name)
+            assert path.read_text() == "before"
+            raise error
+
+    with pytest.raises(type(error)):
+        fail()
+    assert path.read_text() == "before"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_permissions_stay_and_new_files_have_those_of_any_other(tmp_path):
+    path, other = tmp_path / "file", tmp_path / "other"
+    write_text(path, "new")
+    other.write_text("")
+    assert stat.S_IMODE(path.stat().st_mode) == stat.S_IMODE(other.stat().st_mode)
+    path.chmod(0o640)
+    write_text(path, "newer")
+    assert stat.S_IMODE(path.stat().st_mode) == 0o640
+
+
+def test_what_a_link_points_to_is_replaced(tmp_path):
+    path, link = tmp_path / "file", tmp_path / "link"
+    write_text(path, "before")
+    link.symlink_to("file")
+    write_text(link, "after")
+    assert link.is_symlink()
+    assert path.read_text() == "after"
