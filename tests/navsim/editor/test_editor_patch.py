@@ -164,7 +164,15 @@ def check_edits(data, chance, line_break, with_mark, draws) -> None:
             places = [edit["where"]] if edit["where"] else [[key] for key in edit["values"] if tree.root.own(key)]
             if any(dependants(tree, place) for place in places):
                 return  # what others share is another test's
-        text = check_edit(text, edit, intended, [c for c in writer.comments if c in text])
+        refusal = None
+        try:
+            text = check_edit(text, edit, intended, [c for c in writer.comments if c in text])
+        except EditError as error:
+            refusal = str(error)
+        if refusal is not None:  # what the entry says itself can be taken out, what it says by "<<" as well cannot
+            assert re.fullmatch(r"'\w+' comes from a merge key \('<<'\) here; take it out in the text", refusal)
+            assert None in edit["values"].values()
+            return
         data = intended
 
 
@@ -217,6 +225,16 @@ def test_settings_of_an_entry_that_share_a_value_part_when_one_is_set():
     assert patched(text, [{"op": "set", "where": [], "values": {"size": [4.0, 8.0]}}]) == text.replace(
         "[&a 8.0, *a]", "[&a 4.0, 8.0]"
     )
+
+
+def test_a_setting_that_a_merge_key_gives_as_well_is_not_taken_out():
+    text = ROOM + (
+        "obstacles:\n"
+        "  - box: &a {at: [1, 2], size: [3, 2], base: 0.5, height: 1}\n"
+        "  - box: {<<: *a, at: [2, 2], base: 1}\n"
+    )
+    with pytest.raises(EditError, match="'base' comes from a merge key"):
+        set_in(text, ["obstacles", 1], base=None)
 
 
 def test_a_number_that_stays_stays_as_it_is_written():
