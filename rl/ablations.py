@@ -60,7 +60,8 @@ BASE: dict[str, Any] = {"num_threads": 1, "report": False}
 """What all rows share, in place of their presets' settings."""
 
 _TWICE_AS_LONG = {"total_steps": 200_000, "eval_interval": 25_000}
-_FAR: dict[str, Any] = {"depth_scale": "inverse", "n_step": 12, "epsilon_end": 0.1}
+_MORE_STEPS = {"total_steps": 400_000, "steps_per_update": 16.0, "epsilon_steps": 50_000, "eval_interval": 50_000}
+_FAR: dict[str, Any] = {"n_step": 12, "epsilon_end": 0.1}
 """What a robot runs into has left its view up to 17 steps before: returns that reach as far need no value in between,
 which cannot tell what is out of view from what is not there. They must not be full of random actions."""
 
@@ -93,9 +94,7 @@ ROWS: dict[str, Row] = {
     "fast-linear": Row("preset fast, sees depth as it is", {"depth_scale": "linear"}, "fast"),
     "fast-no-memory": Row("preset fast without the memory", {"inputs": ("depth", "heading", "command")}, "fast"),
     "fast-no-command": Row("preset fast without its command", {"inputs": ("depth", "heading", "surroundings")}, "fast"),
-    "fast-12-steps": Row(
-        "preset fast, twelve-step returns, fewer random actions", {"n_step": 12, "epsilon_end": 0.1}, "fast"
-    ),
+    "fast-12-steps": Row("preset fast, twelve-step returns, fewer random actions", _FAR, "fast"),
     "S-fast-glorot": Row(
         "preset fast, D3QN-S, weights for the heading begin as all others",
         {"model": "S", "heading_init": "glorot"},
@@ -104,9 +103,14 @@ ROWS: dict[str, Row] = {
     "S-glorot": Row("D3QN-S, weights for the heading begin as all others", {"model": "S", "heading_init": "glorot"}),
     "inverse": Row("sees depth inverted", {"depth_scale": "inverse"}),
     "S-inverse": Row("D3QN-S, sees depth inverted", {"model": "S", "depth_scale": "inverse"}),
-    "inverse-12-steps": Row("sees depth inverted; twelve-step returns, fewer random actions", _FAR),
+    "12-steps": Row("twelve-step returns, fewer random actions", _FAR),
+    "S-12-steps": Row("D3QN-S, twelve-step returns, fewer random actions", {"model": "S", **_FAR}),
+    "inverse-12-steps": Row(
+        "sees depth inverted; twelve-step returns, fewer random actions", {"depth_scale": "inverse", **_FAR}
+    ),
     "S-inverse-12-steps": Row(
-        "D3QN-S, sees depth inverted; twelve-step returns, fewer random actions", {"model": "S", **_FAR}
+        "D3QN-S, sees depth inverted; twelve-step returns, fewer random actions",
+        {"model": "S", "depth_scale": "inverse", **_FAR},
     ),
     "command": Row("sees its command (v, ω), too", {"inputs": ("depth", "heading", "command")}),
     "apart": Row("images three steps apart", {"frame_interval": 3}),
@@ -139,10 +143,8 @@ ROWS: dict[str, Row] = {
     "twice-the-samples": Row("an update every 4 steps", {"steps_per_update": 4.0}),
     "half-the-samples": Row("an update every 16 steps", {"steps_per_update": 16.0}),
     "half-as-long": Row("100,000 steps", {"total_steps": 100_000, "eval_interval": 12_500}),
-    "twice-the-steps": Row(
-        "400,000 steps, an update every 16",
-        {"total_steps": 400_000, "steps_per_update": 16.0, "epsilon_steps": 50_000, "eval_interval": 50_000},
-    ),
+    "twice-the-steps": Row("400,000 steps, an update every 16", _MORE_STEPS),
+    "S-twice-the-steps": Row("D3QN-S, 400,000 steps, an update every 16", {"model": "S", **_MORE_STEPS}),
     "four-times-the-steps": Row(
         "800,000 steps, an update every 32",
         {"total_steps": 800_000, "steps_per_update": 32.0, "epsilon_steps": 100_000, "eval_interval": 100_000},
