@@ -52,8 +52,8 @@ not come down yet. `scripts/ablations.py` trains, evaluates and writes this page
 """
 
 
-def _rooms(count: int) -> dict[str, Any]:
-    return {"world": (f"generate:clutter,density={DENSITY},count={count}",)}
+def _rooms(count: int = 400, density: float = DENSITY) -> dict[str, Any]:
+    return {"world": (f"generate:clutter,density={density},count={count}",)}
 
 
 BASE: dict[str, Any] = {"num_threads": 1, "report": False}
@@ -126,6 +126,12 @@ ROWS: dict[str, Row] = {
     "blind": Row("sees no images", {"inputs": ("heading",)}),
     "one-room": Row("in one room, complex_train", {"world": ("complex_train",), "rearrangements": 0}),
     "rearranged": Row("in complex_train and 100 rearrangements of it", {"world": ("complex_train",)}),
+    "denser": Row("in rooms of density 0.17", _rooms(density=0.17)),
+    "S-denser": Row("D3QN-S, in rooms of density 0.17", {"model": "S", **_rooms(density=0.17)}),
+    "fast-denser": Row("preset fast, in rooms of density 0.17", _rooms(density=0.17), "fast"),
+    "S-fast-denser": Row(
+        "preset fast, D3QN-S, in rooms of density 0.17", {"model": "S", **_rooms(density=0.17)}, "fast"
+    ),
     "rooms-50": Row("in 50 generated rooms", _rooms(50)),
     "rooms-2000": Row("in 2,000 generated rooms", _rooms(2000)),
     "squared-error": Row("mean squared error instead of a categorical loss", {"loss_function": "l2"}),
