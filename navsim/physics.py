@@ -39,8 +39,7 @@ _ANYTHING = pymunk.ShapeFilter()
 _HORIZON = 2.0  # metres up to which distances are asked for: farther obstacles need not be looked at
 _MOST_SPACES = 64
 """Worlds whose Chipmunk spaces are kept: each takes up to 0.4 MB, whose pools only grow, and half a millisecond to make
-anew. Those that are let go wait for Python's garbage collector: with 200 rooms they and the kept ones take some 80 MB,
-and no more. (To furnish a space anew instead makes it grow without end.)"""
+anew. (To furnish a space anew instead makes it grow without end.)"""
 _STATE = ("poses", "speeds", "world_index", "phases", "clock", "obstacle_poses", "obstacle_speeds")
 _MARGIN = 1e-6  # metres by which a clearance must exceed what is needed, far above rounding
 
@@ -291,7 +290,7 @@ class Physics:
         space = self._spaces.pop(world, None) or _Space(self.worlds[world], self.robot)
         self._spaces[world] = space  # the one used last is the last
         if len(self._spaces) > _MOST_SPACES:
-            del self._spaces[next(iter(self._spaces))]
+            self._spaces.pop(next(iter(self._spaces))).let_go()
         return space
 
 
@@ -419,6 +418,16 @@ class _Space:
         for robot in robots:
             self._space.remove(robot.body, robot.shape)
         return after, touched
+
+    def let_go(self) -> None:
+        """Frees the space's memory with the last reference to this, which must not be used any more.
+
+        pymunk's handlers of collisions refer to themselves and to their space, which refers to them, and such a circle
+        stays until Python's garbage collector comes round: among hundreds of thousands of objects that are there to
+        stay, so seldom that some 40 MB of spaces wait for it, and more the longer one looks.
+        """
+        for handler in getattr(self._space, "_handlers", {}).values():
+            vars(handler).clear()
 
     def _note_contact(self, arbiter: pymunk.Arbiter, space: pymunk.Space, data: object) -> None:
         self._in_contact.add(arbiter.shapes[0])

@@ -1,8 +1,11 @@
 import copy
+import gc
 import math
 import pickle
+import weakref
 
 import numpy as np
+import pymunk
 import pytest
 
 from navsim.camera import DepthCamera
@@ -381,14 +384,15 @@ def test_what_a_step_returns_is_not_changed_by_the_next():
         np.testing.assert_array_equal(part, copied)
 
 
-def test_spaces_of_many_worlds_are_let_go_and_made_anew_alike(monkeypatch):
-    """A space's memory only grows, so that of a thousand worlds would go on growing for hours of training."""
+@pytest.fixture
+def driven(monkeypatch):
+    """Four robots driven at random through twelve rooms, of which so many keep their spaces, and where they came."""
     worlds = [
         world.model_copy(update={"starts": "random", "goals": "random"})
         for world in worlds_from("generate:clutter,count=12,seed=4")
     ]
 
-    def driven(most_spaces: int) -> tuple[Simulator, list[np.ndarray]]:
+    def drive(most_spaces: int) -> tuple[Simulator, list[np.ndarray]]:
         monkeypatch.setattr("navsim.physics._MOST_SPACES", most_spaces)
         simulator = Simulator(worlds, 4, camera=DepthCamera(width=14, height=10), seed=0, draw_worlds=True)
         simulator.reset()
@@ -399,7 +403,32 @@ def test_spaces_of_many_worlds_are_let_go_and_made_anew_alike(monkeypatch):
             simulator.reset(moved.terminated | moved.truncated)
         return simulator, poses
 
+    return drive
+
+
+def test_spaces_of_many_worlds_are_let_go_and_made_anew_alike(driven):
+    """A space's memory only grows, so that of a thousand worlds would go on growing for hours of training."""
     (few, poses), (all_kept, expected) = driven(2), driven(100)
     assert len(few._physics._spaces) == 2
     assert len(all_kept._physics._spaces) > 6
     np.testing.assert_array_equal(poses, expected)
+
+
+def test_a_space_that_is_let_go_is_freed_at_once(driven, monkeypatch):
+    """Not when Python's garbage collector comes round: the longer a training, the more spaces would wait for it."""
+    made = []
+
+    class Space(pymunk.Space):
+        def __init__(self) -> None:
+            super().__init__()
+            made.append(weakref.ref(self))
+
+    monkeypatch.setattr("navsim.physics.pymunk.Space", Space)
+    gc.disable()
+    try:
+        simulator, _ = driven(2)
+        alive = {space() for space in made} - {None}
+    finally:
+        gc.enable()
+    assert len(made) > 6
+    assert alive == {space._space for space in simulator._physics._spaces.values()}
