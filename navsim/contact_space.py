@@ -24,6 +24,7 @@ import pymunk
 
 from navsim.dynamics import GRAVITY, DynamicObstacle, dynamic_obstacles
 from navsim.robot import Robot
+from navsim.spaces import ContactSpaceOwner
 from navsim.world import World
 
 CONTACT_OVERLAP = 0.5e-3
@@ -107,7 +108,7 @@ class _Pushed(_Thing):
             body.angular_velocity = (1.0 - share * self._turn_share) * turn
 
 
-class ContactSpace:
+class ContactSpace(ContactSpaceOwner):
     """A world's obstacles, as far as the robot or something pushable may touch them.
 
     Args:
@@ -116,10 +117,8 @@ class ContactSpace:
     """
 
     def __init__(self, world: World, robot: Robot) -> None:
-        self._space = pymunk.Space()
-        # Chipmunk would end overlaps bit by bit: `_push_out` does it at once.
-        self._space.collision_bias = 1.0
-        self._space.iterations = _ITERATIONS
+        super().__init__()
+        self.space.iterations = _ITERATIONS
         self._push_limit = TRACTION * robot.mass * GRAVITY
         self._robot = _robot(robot)
         self._things = [_thing(one) for one in dynamic_obstacles(world)]
@@ -128,12 +127,12 @@ class ContactSpace:
         touching = [self._robot.heights, *(thing.heights for thing in self._things if isinstance(thing, _Pushed))]
         for prism in world.fixed_prisms:
             if any(prism.overlaps_heights(*heights) for heights in touching):
-                shape = _shape(self._space.static_body, prism.vertices, prism.radius, FIXED)
+                shape = _shape(self.space.static_body, prism.vertices, prism.radius, FIXED)
                 self._heights[shape] = (prism.base, prism.top)
-                self._space.add(shape)
+                self.space.add(shape)
         for first in (ROBOT, PUSHABLE):
             for second in (FIXED, MOVING, PUSHABLE):
-                self._space.on_collision(first, second, pre_solve=self._note_contact)
+                self.tell_contacts(first, second)
         self._robot_on_solid = self._touched_solid = self._touched_pushable = False
 
     def simulate(
@@ -184,12 +183,12 @@ class ContactSpace:
                 moving.append((thing, way))
         present = [robot, *(self._things[slot] for slot in slots)]
         for thing in present:
-            self._space.add(thing.body, *thing.shapes)
+            self.space.add(thing.body, *thing.shapes)
         self._robot_on_solid = self._touched_solid = self._touched_pushable = False
         for number in range(len(commands)):
             self._step(commands, number, dt / fine, moving, pushed)
         for thing in present:
-            self._space.remove(thing.body, *thing.shapes)
+            self.space.remove(thing.body, *thing.shapes)
         for slot in slots:
             thing = self._things[slot]
             if isinstance(thing, _Pushed):
@@ -222,7 +221,7 @@ class ContactSpace:
         for thing in (robot, *pushed):
             thing.in_contact = False
         self._robot_on_solid = False
-        self._space.step(dt)
+        self.space.step(dt)
         for thing, start, angle in starts:
             thing.slow_down_further()
             if thing.in_contact or thing.body.position.get_distance(start) > 0.5 * thing.inner:
@@ -241,7 +240,7 @@ class ContactSpace:
         share = 1.0 if self._robot_on_solid else min(1.0, self._push_limit / max(math.hypot(x, y), 1e-12))
         body.force = share * x, share * y
 
-    def _note_contact(self, arbiter: pymunk.Arbiter, space: pymunk.Space, data: object) -> None:
+    def note_contact(self, arbiter: pymunk.Arbiter) -> None:
         first, second = arbiter.shapes
         if not self._share_heights(first, second):
             arbiter.process_collision = False
@@ -273,7 +272,7 @@ class ContactSpace:
         body.position, body.angle = start, angle
         if isinstance(thing, _Pushed):
             body.velocity, body.angular_velocity = (0.0, 0.0), 0.0
-        self._space.reindex_shapes_for_body(body)
+        self.space.reindex_shapes_for_body(body)
 
     def _end_overlaps(self, thing: _Thing, with_fixed_only: bool) -> bool:
         """Moves a body out of what it overlaps with; whether that succeeded."""
@@ -282,7 +281,7 @@ class ContactSpace:
             if depth <= ALLOWED_OVERLAP:
                 return True
             thing.body.position -= normal * (depth - CONTACT_OVERLAP)
-            self._space.reindex_shapes_for_body(thing.body)
+            self.space.reindex_shapes_for_body(thing.body)
         return self._deepest_contact(thing, with_fixed_only)[0] <= ALLOWED_OVERLAP
 
     def _deepest_contact(self, thing: _Thing, with_fixed_only: bool) -> tuple[float, pymunk.Vec2d]:
@@ -292,7 +291,7 @@ class ContactSpace:
         """
         deepest, direction = 0.0, pymunk.Vec2d.zero()
         for shape in thing.shapes:
-            for info in self._space.shape_query(shape):
+            for info in self.space.shape_query(shape):
                 other = info.shape
                 if self._thing_of.get(other) is thing or not self._share_heights(shape, other):
                     continue
@@ -308,7 +307,7 @@ class ContactSpace:
 
     def _crosses(self, thing: _Thing, start: pymunk.Vec2d, end: pymunk.Vec2d) -> bool:
         """Whether the way of a body's centre leads through something fixed."""
-        hits = self._space.segment_query(start, end, 0.0, pymunk.ShapeFilter())
+        hits = self.space.segment_query(start, end, 0.0, pymunk.ShapeFilter())
         low, high = thing.heights
         for hit in hits:
             if hit.shape.collision_type == FIXED:

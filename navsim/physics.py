@@ -30,6 +30,7 @@ import pymunk
 from navsim.contact_space import ALLOWED_OVERLAP, CONTACT_OVERLAP, LONGEST_STEP, PUSHES, ContactSpace
 from navsim.dynamics import Dynamics, MovingPrisms
 from navsim.robot import TURTLEBOT2, Robot, wrap_angle
+from navsim.spaces import ContactSpaceOwner, let_go
 from navsim.world import World
 
 _ROBOT, _OBSTACLE = 1, 2  # Chipmunk collision types
@@ -290,7 +291,7 @@ class Physics:
         space = self._spaces.pop(world, None) or _Space(self.worlds[world], self.robot)
         self._spaces[world] = space  # the one used last is the last
         if len(self._spaces) > _MOST_SPACES:
-            self._spaces.pop(next(iter(self._spaces))).let_go()
+            del self._spaces[next(iter(self._spaces))]
         return space
 
 
@@ -347,6 +348,9 @@ class _RobotBody:
         self.shape.collision_type = _ROBOT
         self.shape.filter = _ROBOTS
 
+    def __del__(self) -> None:
+        let_go(self.body, self.shape)
+
     def accelerate_to(self, velocity: tuple[float, float], dt: float) -> None:
         """Applies the force that makes ``velocity``, m/s, of the present one before contacts are solved."""
         now = self.body.velocity
@@ -354,30 +358,28 @@ class _RobotBody:
         self.body.force = gain * (velocity[0] - now.x), gain * (velocity[1] - now.y)
 
 
-class _Space:
+class _Space(ContactSpaceOwner):
     """One world's fixed obstacles, as far as they stand in the robot's way, in a Chipmunk space."""
 
     def __init__(self, world: World, robot: Robot) -> None:
-        self._space = pymunk.Space()
-        # Chipmunk would end overlaps bit by bit, and leave 0.1, its allowance for pixels: `_push_out` does it at once.
-        self._space.collision_bias = 1.0
+        super().__init__()
         for prism in world.fixed_prisms:
             if prism.overlaps_heights(0.0, robot.height):
                 shape: pymunk.Shape
                 if prism.is_cylinder:
                     x, y = prism.vertices[0].tolist()
-                    shape = pymunk.Circle(self._space.static_body, prism.radius, (x, y))
+                    shape = pymunk.Circle(self.space.static_body, prism.radius, (x, y))
                 else:
-                    shape = pymunk.Poly(self._space.static_body, prism.vertices.tolist())
+                    shape = pymunk.Poly(self.space.static_body, prism.vertices.tolist())
                 shape.collision_type = _OBSTACLE
-                self._space.add(shape)
-        self._space.on_collision(_ROBOT, _OBSTACLE, pre_solve=self._note_contact)
+                self.space.add(shape)
+        self.tell_contacts(_ROBOT, _OBSTACLE)
         self._in_contact: set[pymunk.Shape] = set()
 
     def distance(self, point: np.ndarray) -> float:
         """Metres from a point to the nearest obstacle, negative inside one; at most ``_HORIZON``."""
         x, y = point.tolist()
-        nearest = self._space.point_query_nearest((x, y), _HORIZON, _ANYTHING)
+        nearest = self.space.point_query_nearest((x, y), _HORIZON, _ANYTHING)
         return _HORIZON if nearest is None else nearest.distance
 
     def simulate(
@@ -397,7 +399,7 @@ class _Space:
         schedules = [[(x, y) for x, y in schedule] for schedule in velocities.tolist()]
         for robot, (x, y), schedule in zip(robots, positions.tolist(), schedules, strict=True):
             robot.body.position, robot.body.velocity = (x, y), schedule[0]
-            self._space.add(robot.body, robot.shape)
+            self.space.add(robot.body, robot.shape)
         touched = np.zeros(len(robots), dtype=bool)
         self._in_contact.clear()
         for substep in range(velocities.shape[1]):
@@ -408,7 +410,7 @@ class _Space:
                     robot.body.velocity = schedule[substep]
             starts = [robot.body.position for robot in robots]
             self._in_contact.clear()
-            self._space.step(dt)
+            self.space.step(dt)
             if self._in_contact:
                 for number, robot in enumerate(robots):
                     if robot.shape in self._in_contact:
@@ -416,20 +418,10 @@ class _Space:
                         self._push_out(robot, starts[number])
         after = np.array([robot.body.position for robot in robots])
         for robot in robots:
-            self._space.remove(robot.body, robot.shape)
+            self.space.remove(robot.body, robot.shape)
         return after, touched
 
-    def let_go(self) -> None:
-        """Frees the space's memory with the last reference to this, which must not be used any more.
-
-        pymunk's handlers of collisions refer to themselves and to their space, which refers to them, and such a circle
-        stays until Python's garbage collector comes round: among hundreds of thousands of objects that are there to
-        stay, so seldom that some 40 MB of spaces wait for it, and more the longer one looks.
-        """
-        for handler in getattr(self._space, "_handlers", {}).values():
-            vars(handler).clear()
-
-    def _note_contact(self, arbiter: pymunk.Arbiter, space: pymunk.Space, data: object) -> None:
+    def note_contact(self, arbiter: pymunk.Arbiter) -> None:
         self._in_contact.add(arbiter.shapes[0])
 
     def _push_out(self, robot: _RobotBody, start: pymunk.Vec2d) -> None:
@@ -444,7 +436,7 @@ class _Space:
 
     def _deepest_contact(self, robot: _RobotBody) -> tuple[float, pymunk.Vec2d]:
         """How deep the robot is in an obstacle, metres, and the direction into it; 0 where it touches nothing."""
-        contacts = [info.contact_point_set for info in self._space.shape_query(robot.shape)]
+        contacts = [info.contact_point_set for info in self.space.shape_query(robot.shape)]
         depths = [max(-point.distance for point in contact.points) for contact in contacts]
         if not depths:
             return 0.0, pymunk.Vec2d.zero()
