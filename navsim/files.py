@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import stat
@@ -16,21 +17,24 @@ TEMPORARY = re.compile(r"\..+\.[a-z0-9_]{8}")
 
 
 @contextmanager
-def atomic_write(path: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[Any]]:
+def atomic_write(path: str | os.PathLike[str], mode: str = "w", *, parents: bool = True) -> Iterator[IO[Any]]:
     """A file that takes ``path``'s place when it is complete and on the disk, and leaves no trace when it is not.
 
-    Directories that are missing are made. What a link points to is replaced, and the link stays; a file that is
-    replaced hands its permissions on.
+    What a link points to is replaced, and the link stays; a file that is replaced hands its permissions on.
 
     Args:
         path: of the file.
         mode: ``"w"``, UTF-8 with the line ends that are written, or ``"wb"``.
+        parents: whether directories that are missing are made.
 
     Raises:
         OSError: if it cannot be written; what was there is as it was.
     """
     target = Path(path).resolve()
-    target.parent.mkdir(parents=True, exist_ok=True)
+    if parents:
+        target.parent.mkdir(parents=True, exist_ok=True)
+    elif not target.parent.is_dir():
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(Path(path).parent))
     handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
     encoding, newline = (None, None) if "b" in mode else ("utf-8", "")
     try:
@@ -47,8 +51,8 @@ def atomic_write(path: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[A
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Writes a whole file, as ``atomic_write`` does."""
-    with atomic_write(path) as file:
+    """Writes a whole file, as ``atomic_write`` does, into a directory that is there."""
+    with atomic_write(path, parents=False) as file:
         file.write(text)
 
 

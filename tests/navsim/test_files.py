@@ -8,14 +8,21 @@ import pytest
 from navsim.files import TEMPORARY, atomic_write, write_text
 
 
-def test_what_is_written_has_its_line_ends_and_a_place_made_for_it(tmp_path):
-    path = tmp_path / "not" / "yet" / "there.txt"
+def test_what_is_written_has_its_line_ends(tmp_path):
+    path = tmp_path / "file"
     write_text(path, "one\r\ntwo\né")
     assert path.read_bytes() == b"one\r\ntwo\n\xc3\xa9"
+    assert os.listdir(tmp_path) == ["file"]
+
+
+def test_a_directory_that_is_missing_is_made_or_told(tmp_path):
+    path = tmp_path / "not" / "yet" / "there"
+    with pytest.raises(FileNotFoundError, match=r"yet'$"):
+        write_text(path, "")
+    assert os.listdir(tmp_path) == []
     with atomic_write(path, "wb") as file:
         file.write(b"\0\xff")
     assert path.read_bytes() == b"\0\xff"
-    assert os.listdir(path.parent) == ["there.txt"]
 
 
 @pytest.mark.parametrize("error", [OSError("full"), KeyboardInterrupt()])
