@@ -85,7 +85,7 @@ def map_in_processes(
         workers = [_Worker(function) for _ in range(number)]
         yield from _results(workers, parts)
     except _LostError as error:
-        how = "; ".join(filter(None, (worker.death() for worker in workers))) or "has closed its connection"
+        how = error.worker.death() or "has closed its connection"
         for worker in workers:
             worker.process.kill()
         raise WorkerDeathError(f"one of the processes {what} {how}; {remedy}") from error
@@ -98,6 +98,10 @@ def map_in_processes(
 
 class _LostError(Exception):
     """A process's end of its connection is closed."""
+
+    def __init__(self, worker: _Worker) -> None:
+        super().__init__()
+        self.worker = worker
 
 
 class _Worker:
@@ -112,16 +116,23 @@ class _Worker:
 
     def send(self, part: Sequence[Any]) -> None:
         """Gives the process something to do."""
-        with _losses_told():
+        with self._losses_told():
             self.connection.send(part)
 
     def receive(self) -> list[Any]:
         """The results of what the process was given last; raises what the function has raised."""
-        with _losses_told():
+        with self._losses_told():
             results, error = self.connection.recv()
         if error is not None:
             raise error
         return cast(list[Any], results)
+
+    @contextmanager
+    def _losses_told(self) -> Iterator[None]:
+        try:
+            yield
+        except (EOFError, OSError) as error:  # an end in the middle of a message is an OSError without a number
+            raise _LostError(self) from error
 
     def death(self) -> str | None:
         """What has ended the process, which lives no more or is just ending; None if it lives."""
@@ -132,14 +143,6 @@ class _Worker:
         if code == -signal.SIGKILL:
             return "was killed, perhaps because the memory was exhausted"
         return f"was ended by signal {-code} ({signal.Signals(-code).name})" if code < 0 else f"ended with code {code}"
-
-
-@contextmanager
-def _losses_told() -> Iterator[None]:
-    try:
-        yield
-    except (EOFError, OSError) as error:  # an end in the middle of a message is an OSError without a number
-        raise _LostError from error
 
 
 def _results(workers: list[_Worker], parts: list[Sequence[Any]]) -> Iterator[Any]:
