@@ -66,12 +66,14 @@ class Page:
         return self.browser.execute_script(script, *arguments)
 
     def until(self, script: str, *arguments) -> None:
+        """Waits until the script returns something true, and the plan shows it: it is painted with the next frame."""
         from selenium.common.exceptions import TimeoutException
 
         try:
             self._wait.until(lambda _: self.script(script, *arguments))
         except TimeoutException:
             pytest.fail(f"never true: {script} {arguments}; the text is\n{self.text}")
+        self.browser.execute_async_script("requestAnimationFrame(() => requestAnimationFrame(arguments[0]))")
 
     @property
     def text(self) -> str:
