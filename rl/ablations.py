@@ -52,8 +52,9 @@ not come down yet. `scripts/ablations.py` trains, evaluates and writes this page
 """
 
 
-def _rooms(count: int = 400, density: float = DENSITY) -> dict[str, Any]:
-    return {"world": (f"generate:clutter,density={density},count={count}",)}
+def _rooms(count: int = 400, densities: Sequence[float] = (DENSITY,)) -> dict[str, Any]:
+    each = count // len(densities)
+    return {"world": tuple(f"generate:clutter,density={density},count={each}" for density in densities)}
 
 
 BASE: dict[str, Any] = {"num_threads": 1, "report": False}
@@ -61,6 +62,7 @@ BASE: dict[str, Any] = {"num_threads": 1, "report": False}
 
 _TWICE_AS_LONG = {"total_steps": 200_000, "eval_interval": 25_000}
 _MORE_STEPS = {"total_steps": 400_000, "steps_per_update": 16.0, "epsilon_steps": 50_000, "eval_interval": 50_000}
+_MIXED = _rooms(densities=[DENSITY, 0.17])
 _FAR: dict[str, Any] = {"n_step": 12, "epsilon_end": 0.1}
 """What a robot runs into has left its view up to 17 steps before: returns that reach as far need no value in between,
 which cannot tell what is out of view from what is not there. They must not be full of random actions."""
@@ -126,11 +128,18 @@ ROWS: dict[str, Row] = {
     "blind": Row("sees no images", {"inputs": ("heading",)}),
     "one-room": Row("in one room, complex_train", {"world": ("complex_train",), "rearrangements": 0}),
     "rearranged": Row("in complex_train and 100 rearrangements of it", {"world": ("complex_train",)}),
-    "denser": Row("in rooms of density 0.17", _rooms(density=0.17)),
-    "S-denser": Row("D3QN-S, in rooms of density 0.17", {"model": "S", **_rooms(density=0.17)}),
-    "fast-denser": Row("preset fast, in rooms of density 0.17", _rooms(density=0.17), "fast"),
+    "denser": Row("in rooms of density 0.17", _rooms(densities=[0.17])),
+    "S-denser": Row("D3QN-S, in rooms of density 0.17", {"model": "S", **_rooms(densities=[0.17])}),
+    "fast-denser": Row("preset fast, in rooms of density 0.17", _rooms(densities=[0.17]), "fast"),
     "S-fast-denser": Row(
-        "preset fast, D3QN-S, in rooms of density 0.17", {"model": "S", **_rooms(density=0.17)}, "fast"
+        "preset fast, D3QN-S, in rooms of density 0.17", {"model": "S", **_rooms(densities=[0.17])}, "fast"
+    ),
+    "longer-mixed": Row(
+        "400,000 steps, an update every 16, in rooms of density 0.11 and 0.17", {**_MORE_STEPS, **_MIXED}
+    ),
+    "S-longer-mixed": Row(
+        "D3QN-S, 400,000 steps, an update every 16, in rooms of density 0.11 and 0.17",
+        {"model": "S", **_MORE_STEPS, **_MIXED},
     ),
     "rooms-50": Row("in 50 generated rooms", _rooms(50)),
     "rooms-2000": Row("in 2,000 generated rooms", _rooms(2000)),
