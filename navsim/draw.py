@@ -39,6 +39,7 @@ from matplotlib.patches import Polygon as PolygonPatch
 
 from navsim.camera import DepthCamera
 from navsim.dynamics import dynamic_obstacles, placed
+from navsim.files import atomic_write
 from navsim.polygon import signed_area
 from navsim.robot import TURTLEBOT2, Robot
 from navsim.scan import metres
@@ -80,8 +81,8 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
     supported = figure.canvas.get_supported_filetypes()
     if path.suffix[1:].lower() not in supported:
         raise ValueError(f"{path}: pictures are written as {', '.join('.' + s for s in sorted(supported))}")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path)
+    with atomic_write(path, "wb") as file:
+        figure.savefig(file, format=path.suffix[1:].lower())
     return path
 
 

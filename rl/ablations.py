@@ -26,8 +26,8 @@ from navsim.files import atomic_write
 from rl.config import DEFAULT_PRESET, PRESETS, TrainConfig
 from rl.evaluation import Evaluation, evaluate_as_trained
 from rl.policies import load_policy
-from rl.run import Run, processor, versions, write_json
-from rl.train import train
+from rl.run import Run
+from rl.series import Planned, run_series
 
 DENSITY = 0.11
 """Share of the floor under obstacles in generated rooms, as in ``complex_eval``."""
@@ -192,25 +192,26 @@ def run(
         console: where progress is shown; standard output by default.
 
     Raises:
-        ValueError: for a row that there is not.
+        ValueError: for a row that there is not, and for results of another length that lie where a run's are to go.
+        SeriesError: at the end, if runs could not be finished.
     """
     console = console or Console()
     names = list(names)
     for name in names:
         if name not in ROWS:
             raise ValueError(f"there is no row {name}; there are: {', '.join(ROWS)}")
-    chosen = [(name, seed) for seed in seeds for name in names]
-    for number, (name, seed) in enumerate(chosen, 1):
-        finished = results / f"{name}-seed{seed}.json"
-        if finished.exists():
-            console.print(f"[{number}/{len(chosen)}] {name}, seed {seed}: finished before", highlight=False)
-            continue
-        console.print(f"[{number}/{len(chosen)}] {name}, seed {seed}: {ROWS[name].what}", highlight=False)
-        config = ROWS[name].config(name, seed, runs, total_steps)
-        trained = train(config, resume=Run(config.directory).exists, console=console)
-        write_json(finished, {"row": name, **_results_of(trained, console)})
-        write_page(results, page)
-    write_page(results, page)
+    planned = [
+        Planned(
+            name=f"{name}-seed{seed}",
+            what=ROWS[name].what,
+            labels={"row": name, "seed": seed},
+            config=ROWS[name].config(name, seed, runs, total_steps),
+            results=results / f"{name}-seed{seed}.json",
+        )
+        for seed in seeds
+        for name in names
+    ]
+    run_series(planned, lambda trained: _results_of(trained, console), lambda: write_page(results, page), console)
 
 
 def _results_of(trained: Run, console: Console) -> dict[str, Any]:
@@ -222,11 +223,7 @@ def _results_of(trained: Run, console: Console) -> dict[str, Any]:
     }
     rows = trained.evaluations.rows()
     return {
-        "seed": config.seed,
-        "steps": config.total_steps,
         "command": f"navsim train {shlex.join(arguments_of(config))}",
-        "machine": processor(),
-        "versions": versions(),
         "curve": {
             key: [float(row[key]) for row in rows]
             for key in ("step", "seconds", "processor_seconds", "success_rate", "spl")

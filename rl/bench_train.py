@@ -20,7 +20,7 @@ from rich.table import Table
 
 from navsim.processes import map_in_processes
 from rl.config import PRESETS, TrainConfig
-from rl.run import versions, write_json
+from rl.run import processor, versions, write_json
 
 THESIS_STEPS = 400_000
 Kind = Literal["sync", "async"]
@@ -65,14 +65,13 @@ def run(
         steps: transitions in all.
         exact: see ``settings``.
         collectors: the kinds.
-        out: JSON file; results that it holds for the same settings and machine are kept, and new ones written to it as
-            they come.
+        out: JSON file; results that it holds for the same settings are kept, and new ones written to it as they come.
 
     Returns:
         what the file holds.
 
     Raises:
-        ValueError: for fewer steps than 512, and a file that holds something else.
+        ValueError: for fewer steps than 512, and a file that holds something else, or another machine's results.
         navsim.processes.WorkerDeathError: if the process that trains is killed.
     """
     if steps < 512:
@@ -91,9 +90,7 @@ def run(
                 )
             write_json(out, results)
     rows = {kind: results["runs"][f"{'exact' if exact else 'batch64'}-{kind}-{steps}"] for kind in collectors}
-    console.print(
-        f"[bold]{steps:,} steps, {'batches of 8' if exact else 'batches of 64'}[/bold], {versions()['processor']}"
-    )
+    console.print(f"[bold]{steps:,} steps, {'batches of 8' if exact else 'batches of 64'}[/bold], {processor()}")
     console.print(_table(rows))
     if len(rows) == 2:
         ratio = rows["async"]["steady_steps_per_second"] / rows["sync"]["steady_steps_per_second"]
@@ -108,9 +105,12 @@ def _read(path: Path) -> dict[str, Any]:
         found = json.loads(path.read_text(encoding="utf-8"))
         if not isinstance(found["runs"], dict):
             raise TypeError("runs")
-        return found
+        machine = found["versions"]["processor"]
     except (ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{path} does not hold results of this benchmark; choose another file (--out)") from error
+    if machine != processor():
+        raise ValueError(f"{path} holds what was measured on another machine, {machine}; choose another file (--out)")
+    return found
 
 
 def measure(kind: Kind, steps: int, exact: bool) -> dict[str, Any]:

@@ -369,8 +369,8 @@ def bench_train(
 def bench_learning(
     steps: int = 100_000,
     seeds: int = 3,
-    runs: Annotated[Path, arg(metavar="DIR")] = Path("runs/compare_training"),
-    out: Annotated[Path, arg(metavar="FILE")] = Path("docs/results/compare_training.json"),
+    runs: Annotated[Path, arg(metavar="DIR")] = Path("runs/bench_learning"),
+    out: Annotated[Path, arg(metavar="FILE")] = Path("bench_learning.json"),
 ) -> None:
     """Train with each collector and number format, and compare what they learn. Interrupted: run it again.
 

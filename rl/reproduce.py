@@ -1,8 +1,7 @@
 """The thesis's experiment as a matrix of runs, its tables 6.1 to 6.4 and its figures 6.1 to 6.11.
 
 A *cell* is one training run: a model, an image size, a room and a seed. Each is trained with the preset ``thesis``, and
-then its last weights (the thesis had no other) drive the paths of both evaluation rooms. A finished cell is skipped,
-and one that was interrupted goes on, so that the matrix can be run in as many pieces as there are evenings.
+then its last weights (the thesis had no other) drive the paths of both evaluation rooms. ``rl.series`` runs them.
 """
 
 from __future__ import annotations
@@ -33,8 +32,8 @@ from rl.evaluation import Evaluation, evaluate
 from rl.figures import choose_examples, example_paths
 from rl.observation import NUM_FRAMES
 from rl.policies import load_policy
-from rl.run import Run, write_json
-from rl.train import train
+from rl.run import Run, Table
+from rl.series import Planned, run_series
 
 ROOMS = ("simple", "complex")
 """Each is trained in as ``ROOM_train`` and evaluated in as ``ROOM_eval``."""
@@ -42,7 +41,8 @@ SIZES = ((80, 64), (160, 128))
 """Depth images, columns and rows."""
 MODELS: tuple[Model, ...] = ("I", "S")
 REPORTED = {("I", "complex"): 0.88, ("S", "complex"): 0.67}
-"""Share of goals that the thesis reports for a model trained and evaluated in a room, where this project knows it."""
+"""Share of goals that the thesis reports for a model trained and evaluated in a room, where this project knows it; of
+which image size, it does not."""
 
 _MODEL_COLOURS = {"I": OUTCOME_COLOURS["success"], "S": OUTCOME_COLOURS["collision"]}
 _ACTION_COLOURS = ("#9aa3ad", INK, "#0072B2", "#56B4E9", "#009E73", "#E69F00", "#D55E00")
@@ -73,6 +73,8 @@ class Cell(NamedTuple):
             eval_world=f"{self.room}_eval",
             seed=self.seed,
             total_steps=total_steps or thesis.total_steps,
+            num_threads=1,
+            checkpoint_interval=25_000,
             report=False,
             out=directory / self.name,
         )
@@ -112,55 +114,52 @@ def reproduce(
         console: where progress is shown; standard output by default.
 
     Raises:
-        navsim.WorldError, RunError: for files that cannot be used.
+        ValueError: for results of another length that lie where a run's are to go.
+        SeriesError: at the end, if runs could not be finished.
     """
     console = console or Console()
-    chosen = list(chosen)
-    for number, cell in enumerate(chosen, 1):
-        finished = results / "cells" / f"{cell.name}.json"
-        if finished.exists():
-            console.print(f"[{number}/{len(chosen)}] {cell.name}: finished before")
-            continue
-        console.print(f"[{number}/{len(chosen)}] {cell.name}")
-        config = cell.config(runs, total_steps)
-        run = train(config, resume=Run(config.directory).exists, console=console)
-        write_json(finished, _results_of(cell, run, console))
-        write_up(results)
-    write_up(results)
+    planned = [
+        Planned(
+            name=cell.name,
+            what=f"D3QN-{cell.model} in {cell.room}_train",
+            labels=cell._asdict(),
+            config=cell.config(runs, total_steps),
+            results=results / "cells" / f"{cell.name}.json",
+        )
+        for cell in chosen
+    ]
+    run_series(planned, lambda run: _results_of(run, console), lambda: write_up(results), console)
 
 
-def _results_of(cell: Cell, run: Run, console: Console) -> dict[str, Any]:
-    """What becomes of a finished run: its curves, and its last weights' evaluations in both rooms."""
+def _results_of(run: Run, console: Console) -> dict[str, Any]:
+    """What becomes of a finished run: its logs, and its last weights' evaluations in both rooms."""
     config, actor = run.config, load_policy(run.directory, weights="last")
     evaluations = {
         room: evaluate(
             actor,
             f"{room}_eval",
-            name=f"D3QN-{cell.model}",
+            name=f"D3QN-{config.model}",
             camera=config.camera,
             task=config.task,
             robot=config.robot,
-            seed=cell.seed,
             console=console,
         )
         for room in ROOMS
     }
-    metrics = run.metrics.rows()
-    curves = {key: [_number(row[key]) for row in metrics] for key in ("step", "seconds", "reward", "max_q")}
-    logged = run.evaluations.rows()
     return {
-        **cell._asdict(),
-        "total_steps": config.total_steps,
-        "training": curves,
-        "evaluations": {
-            key: [_number(row[key]) for row in logged] for key in ("step", "seconds", "success_rate", "spl", "reward")
-        },
+        "training": _columns(run.metrics),
+        "evaluations": _columns(run.evaluations),
         "final": {room: evaluation.to_dict() for room, evaluation in evaluations.items()},
         "q_over_headings": {
-            place: q_over_headings(actor, config.camera, pose, f"{cell.room}_eval").round(5).tolist()
+            place: q_over_headings(actor, config.camera, pose, config.eval_world).round(5).tolist()
             for place, pose in Q_PLACES.items()
         },
     }
+
+
+def _columns(table: Table) -> dict[str, list[float | None]]:
+    rows = table.rows()
+    return {column: [_number(row[column]) for row in rows] for column in table.columns if column != "world"}
 
 
 def _number(text: str) -> float | None:
@@ -169,8 +168,8 @@ def _number(text: str) -> float | None:
 
 HEADINGS = np.linspace(-math.pi, math.pi, 73)
 """Goal directions of the Q-value figures, radians."""
-Q_PLACES = {"free way": (-2.6, 0.0, 0.0), "wall ahead": (2.4, 0.0, 0.0)}
-"""Poses (x, y, yaw) in the evaluation room of the Q-value figures."""
+Q_PLACES = {"free way": (0.3, 1.2, -math.pi / 2), "wall ahead": (2.4, 0.0, 0.0)}
+"""Poses (x, y, yaw) of the Q-value figures, in either evaluation room: with 4.8 m of free view, and with 0.8 to 1.2."""
 
 
 def q_over_headings(
@@ -205,6 +204,7 @@ def tables(finished: Sequence[dict[str, Any]]) -> str:
         if not mine:
             parts.append("Not run yet.\n")
             continue
+        parts.append(f"{_how(mine)}.\n")
         parts.append(
             "| trained in | evaluated in | goals reached, % | each seed | 95% interval | thesis | reward | SPL |"
         )
@@ -216,6 +216,15 @@ def tables(finished: Sequence[dict[str, Any]]) -> str:
                     parts.append(_row(model, trained, evaluated, results))
         parts.append("")
     return "\n".join(parts)
+
+
+def _how(mine: Sequence[dict[str, Any]]) -> str:
+    """What runs of one table have been, beside their settings: their lengths, number formats and times."""
+    steps = " or ".join(sorted({f"{cell['steps']:,}" for cell in mine}))
+    formats = " or ".join(sorted({cell["settings"]["autocast"] for cell in mine}))
+    hours = [cell["evaluations"]["processor_seconds"][-1] / 3600 for cell in mine]
+    machines = "; ".join(sorted({cell["machine"] for cell in mine}))
+    return f"{steps} steps in {formats}, {min(hours):.1f} to {max(hours):.1f} hours of processor time; {machines}"
 
 
 def _evaluation(cell: dict[str, Any], room: str) -> Evaluation:

@@ -92,10 +92,10 @@ def _refused(path: Path, reason: str, full: bool) -> RunError:
     )
 
 
-def write_json(path: Path, value: Any) -> None:
-    """Writes ``value`` as indented JSON, atomically."""
+def write_json(path: Path, value: Any, indent: int | None = 2) -> None:
+    """Writes ``value`` as JSON, atomically; without ``indent`` in one line."""
     with atomic_write(path) as file:
-        json.dump(value, file, indent=2, allow_nan=False)
+        json.dump(value, file, indent=indent, allow_nan=False)
         file.write("\n")
 
 

@@ -11,6 +11,7 @@ import tyro
 
 from rl.ablations import ROWS
 from rl.ablations import run as run_rows
+from rl.series import SeriesError
 
 
 def main(
@@ -21,19 +22,22 @@ def main(
     results: Path = Path("docs/results/ablations"),
     page: Path = Path("docs/ablations.md"),
 ) -> None:
-    """Train and evaluate rows of the table of ablations, half an hour on one core for each seed of each row.
+    """Train and evaluate rows of the table of ablations, 8 to 50 minutes on one core for each seed of each row.
+
+    Results that are in the directory of results, as this project's are, are not made again: to have your own, give
+    others than the defaults.
 
     Args:
-        rows: Names of rows; "base" is what the others are compared with.
+        rows: Names of rows; "base" is what the others are compared with. All together take days.
         seeds: Seeds of each row.
-        total_steps: Transitions of each run, in place of the preset's 200,000.
+        total_steps: Transitions of each run, in place of its row's.
         runs: Directory of the runs, needed only to go on with them.
         results: Directory of the JSON and the figure.
         page: Markdown file with the table.
     """
     try:
         run_rows(rows, seeds, runs=runs, results=results, page=page, total_steps=total_steps)
-    except ValueError as error:
+    except (SeriesError, ValueError) as error:
         sys.exit(str(error))
 
 

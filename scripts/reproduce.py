@@ -1,7 +1,9 @@
 """The thesis's experiment: python scripts/reproduce.py --help
 
 Runs {D3QN-I, D3QN-S} x {80x64, 160x128} x {simple, complex} x seeds with the preset "thesis", and writes the tables
-and figures of the thesis. It may be interrupted at any point: what is finished is skipped, what is not goes on.
+and figures of the thesis. It may be interrupted at any point: what is finished is skipped, what is not goes on. A run
+takes one core for an hour and a half with 80x64 images; so run two of these commands at once on two cores, such as
+--models I and --models S. Afterwards scripts/results.py puts the tables into docs/results.md.
 """
 
 import sys
@@ -12,6 +14,7 @@ import tyro
 
 from rl.reproduce import cells
 from rl.reproduce import reproduce as run_matrix
+from rl.series import SeriesError
 
 
 def reproduce(
@@ -35,7 +38,10 @@ def reproduce(
         results: Directory of the JSON, tables and figures.
     """
     shapes = [tuple(int(side) for side in size.split("x")) for size in sizes]
-    run_matrix(cells(models, shapes, rooms, seeds), runs=runs, results=results, total_steps=total_steps)
+    try:
+        run_matrix(cells(models, shapes, rooms, seeds), runs=runs, results=results, total_steps=total_steps)
+    except (SeriesError, ValueError) as error:
+        sys.exit(str(error))
 
 
 if __name__ == "__main__":

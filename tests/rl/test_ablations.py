@@ -11,6 +11,7 @@ from rich.console import Console
 from small_runs import HALL, tiny_config
 
 import rl.ablations
+import rl.series
 from rl.ablations import ROWS, Row, arguments_of, run
 from rl.cli import main
 from rl.config import PRESETS
@@ -58,8 +59,8 @@ def test_finished_runs_are_not_repeated_and_the_page_has_every_seed(small, monke
     first = {path.name: path.read_bytes() for path in small["results"].glob("*.json")}
     assert sorted(first) == ["base-seed0.json", "base-seed1.json"]
     trained = []
-    train = rl.ablations.train
-    monkeypatch.setattr(rl.ablations, "train", lambda config, **kw: trained.append(config) or train(config, **kw))
+    train = rl.series.train
+    monkeypatch.setattr(rl.series, "train", lambda config, **kw: trained.append(config) or train(config, **kw))
     run(["S", "base"], [0], **small, console=QUIET)
     assert [(config.model, config.seed) for config in trained] == [("S", 0)]
     assert all((small["results"] / name).read_bytes() == content for name, content in first.items())

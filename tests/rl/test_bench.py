@@ -149,9 +149,21 @@ def test_a_training_is_taken_apart_once(console, tmp_path):
     assert result["peak_megabytes"] > 100
     assert bench_train.run(console, steps=768, collectors=("sync",), out=out) == first
     assert json.loads(out.read_text()) == first
-    out.write_text("[]")
-    with pytest.raises(ValueError, match="does not hold results of this benchmark"):
-        bench_train.run(console, steps=768, collectors=("sync",), out=out)
+
+
+def test_files_of_other_benchmarks_and_machines_are_left_alone(console, tmp_path):
+    out = tmp_path / "train.json"
+    for text, reason in (
+        ("[]", "does not hold results of this benchmark"),
+        (
+            json.dumps({"runs": {}, "versions": {"processor": "an abacus"}}),
+            "another machine, an abacus; choose another",
+        ),
+    ):
+        out.write_text(text)
+        with pytest.raises(ValueError, match=reason):
+            bench_train.run(console, steps=768, collectors=("sync",), out=out)
+        assert out.read_text() == text
 
 
 @pytest.mark.slow

@@ -9,10 +9,11 @@ import pytest
 from rich.console import Console
 
 import rl.reproduce
+from navsim.raycast import render_depth
+from navsim.worldfile import load_world
 from rl.config import PRESETS
 from rl.evaluation import Evaluation, PathResult
 from rl.reproduce import HEADINGS, Cell, cells, reproduce, tables, write_up
-from rl.run import Run
 
 QUIET = Console(quiet=True)
 
@@ -39,9 +40,12 @@ def result(cell: Cell, simple: int, complex_: int) -> dict:
     steps = [4000.0, 8000.0]
     return {
         **cell._asdict(),
-        "total_steps": 8000,
+        "steps": 8000,
+        "settings": {"autocast": "float32"},
+        "machine": "a machine",
         "training": {"step": steps, "seconds": [1.0, 2.0], "reward": [None, 0.5], "max_q": [0.1, 0.2]},
-        "evaluations": {key: [0.1, 0.5] for key in ("success_rate", "spl", "reward")} | {"step": steps},
+        "evaluations": {key: [0.1, 0.5] for key in ("success_rate", "spl", "reward")}
+        | {"step": steps, "processor_seconds": [1800.0, 3600.0]},
         "final": {"simple": evaluation(simple).to_dict(), "complex": evaluation(complex_).to_dict()},
         "q_over_headings": {place: np.zeros((len(HEADINGS), 7)).tolist() for place in rl.reproduce.Q_PLACES},
     }
@@ -58,30 +62,20 @@ def test_a_cell_is_the_preset_thesis_in_its_room(tmp_path):
     config = Cell("S", 160, 128, "simple", 2).config(tmp_path)
     assert (config.model, config.camera.width, config.camera.height, config.seed) == ("S", 160, 128, 2)
     assert (config.world, config.eval_world) == (("simple_train",), "simple_eval")
-    changed = {"model", "camera", "seed", "world", "eval_world", "report", "out"}
+    changed = {"model", "camera", "seed", "world", "eval_world", "num_threads", "checkpoint_interval", "report", "out"}
     thesis, mine = PRESETS["thesis"].to_dict(), config.to_dict()
     assert {key for key in mine if mine[key] != thesis[key]} <= changed
 
 
-def test_finished_cells_are_skipped_and_begun_ones_resumed(tmp_path, monkeypatch):
-    finished, begun, fresh = chosen = cells(models=("I",), sizes=[(80, 64)], rooms=("complex",))
-    (tmp_path / "results" / "cells").mkdir(parents=True)
-    (tmp_path / "results" / "cells" / f"{finished.name}.json").write_text(json.dumps(result(finished, 3, 9)))
-    Run.create(begun.config(tmp_path / "runs"))
-    trained = []
-
-    def train(config, *, resume, console):
-        trained.append((config.directory.name, resume))
-        return Run(config.directory)
-
-    monkeypatch.setattr(rl.reproduce, "train", train)
-    monkeypatch.setattr(rl.reproduce, "_results_of", lambda cell, run, console: result(cell, 2, 8))
-    monkeypatch.setattr(rl.reproduce, "write_up", lambda results: None)
-    reproduce(chosen, runs=tmp_path / "runs", results=tmp_path / "results", console=QUIET)
-    assert trained == [(begun.name, True), (fresh.name, False)]
-    trained.clear()
-    reproduce(chosen, runs=tmp_path / "runs", results=tmp_path / "results", console=QUIET)
-    assert not trained
+def test_the_first_place_of_the_q_values_has_a_free_view_and_the_second_a_wall_ahead():
+    camera = PRESETS["thesis"].camera
+    for room in ("simple_eval", "complex_eval"):
+        free, wall = (
+            camera.from_planar(render_depth(load_world(room), np.array([pose]), camera))[0, :24, 36:44]
+            for pose in rl.reproduce.Q_PLACES.values()
+        )
+        assert free.min() > 4.5
+        assert wall.max() < 1.2
 
 
 def test_a_table_pools_the_seeds_of_what_was_trained_in_a_room():
@@ -95,6 +89,7 @@ def test_a_table_pools_the_seeds_of_what_was_trained_in_a_room():
     assert to_simple[5] == ""
     assert to_complex[6:] == ["+0.80", "0.90"]
     assert text.count("Not run yet.") == 3
+    assert "8,000 steps in float32, 1.0 to 1.0 hours of processor time; a machine." in text
 
 
 def test_all_figures_are_drawn_from_the_cells(tmp_path):
@@ -114,5 +109,8 @@ def test_a_short_cell_is_trained_evaluated_and_written_up(tmp_path):
     matrix = cells(models=("S",), sizes=[(80, 64)], rooms=("complex",), seeds=(0,))
     reproduce(matrix, runs=tmp_path / "runs", results=tmp_path / "results", total_steps=1_200, console=QUIET)
     stored = json.loads((tmp_path / "results" / "cells" / f"{matrix[0].name}.json").read_text())
+    assert (stored["model"], stored["room"], stored["steps"], stored["settings"]["seed"]) == ("S", "complex", 1_200, 0)
     assert len(stored["final"]["complex"]["paths"]) == 100
+    assert stored["training"]["step"][-1] == 1_200
+    assert "D3QN-S, 80x64\n\n1,200 steps in" in (tmp_path / "results" / "tables.md").read_text()
     assert np.array(stored["q_over_headings"]["free way"]).shape == (73, 7)

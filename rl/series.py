@@ -1,0 +1,104 @@
+"""Series of trainings, each with a file of results: any number of evenings, and of processes, until all are finished.
+
+What is finished is skipped, what was interrupted goes on, and what fails is told and does not end the others.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rich.console import Console
+
+from navsim.errors import WorldError
+from rl.background import CollectorError
+from rl.config import ConfigError, TrainConfig
+from rl.run import Run, RunError, processor, settings_of, versions, write_json
+from rl.train import train
+from rl.watch import NumbersError
+
+
+class SeriesError(RuntimeError):
+    """Runs of a series that are not finished at its end; all others are."""
+
+
+class Planned(NamedTuple):
+    """One run of a series."""
+
+    name: str
+    """Its own among those of the series."""
+    what: str
+    """It is, in a few words."""
+    labels: dict[str, Any]
+    """By which its results are told from others'; part of them."""
+    config: TrainConfig
+    """Its settings."""
+    results: Path
+    """JSON file of its results; where it is, the run is finished."""
+
+
+def run_series(
+    planned: Sequence[Planned],
+    results_of: Callable[[Run], dict[str, Any]],
+    write_up: Callable[[], None],
+    console: Console,
+) -> None:
+    """Trains what is not finished yet, one after the other.
+
+    Results hold, besides those of ``results_of``, the run's labels, ``steps``, ``settings``, ``machine`` and
+    ``versions``. Once they are written, the run's checkpoints are removed, a gigabyte a run; its weights and logs stay.
+
+    Args:
+        planned: the runs, in the order in which they are trained.
+        results_of: what is to be kept of a run that has ended.
+        write_up: makes pages and figures of the results that there are; called after each run, and at the end.
+        console: where progress is shown.
+
+    Raises:
+        ValueError: for results of another length than the one planned, before anything is trained.
+        SeriesError: at the end, if runs have failed or another process is training them.
+    """
+    for one in planned:
+        _check_length(one)
+    missing = []
+    for number, one in enumerate(planned, 1):
+        place = f"[{number}/{len(planned)}] {one.name}"
+        if one.results.exists():
+            console.print(f"{place}: finished before", markup=False, highlight=False)
+            continue
+        console.print(f"{place}: {one.what}", markup=False, highlight=False)
+        try:
+            run = train(one.config, resume=Run(one.config.directory).exists, console=console)
+            write_json(one.results, one.labels | _described(run) | results_of(run), indent=None)
+        except (CollectorError, ConfigError, NumbersError, RunError, WorldError) as error:
+            console.print(f"{one.name}: {error}", markup=False, highlight=False, soft_wrap=True)
+            missing.append(one.name)
+            continue
+        shutil.rmtree(run.directory / "checkpoints", ignore_errors=True)
+        write_up()
+    write_up()
+    if missing:
+        raise SeriesError(f"not finished: {', '.join(missing)}; the reasons stand above, and the same command goes on")
+
+
+def _check_length(one: Planned) -> None:
+    if not one.results.exists():
+        return
+    steps = json.loads(one.results.read_text(encoding="utf-8"))["steps"]
+    if steps != one.config.total_steps:
+        raise ValueError(
+            f"{one.results} has the results of {steps:,} steps, where {one.config.total_steps:,} are asked for; move "
+            "it away, or have the results written elsewhere (--results)"
+        )
+
+
+def _described(run: Run) -> dict[str, Any]:
+    return {
+        "steps": run.config.total_steps,
+        "settings": settings_of(run.config),
+        "machine": processor(),
+        "versions": versions(),
+    }

@@ -1,0 +1,101 @@
+"""Series of trainings: what is skipped, what goes on, and what becomes of those that fail."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+from small_runs import tiny_config
+
+import rl.series
+from rl.run import Run, settings_of
+from rl.series import Planned, SeriesError, run_series
+from rl.watch import NumbersError
+
+
+def planned(directory: Path, *names: str) -> list[Planned]:
+    return [
+        Planned(
+            name=name,
+            what=f"the run {name}",
+            labels={"label": name},
+            config=tiny_config(directory / name),
+            results=directory / "results" / f"{name}.json",
+        )
+        for name in names
+    ]
+
+
+@pytest.fixture
+def trained(monkeypatch):
+    """Which runs were trained, and whether they were gone on with, by a ``train`` that only makes their directories."""
+    calls = []
+
+    def train(config, *, resume, console):
+        calls.append((config.directory.name, resume))
+        if config.directory.name == "broken":
+            raise NumbersError("the loss is nan")
+        run = Run(config.directory) if resume else Run.create(config)
+        (run.directory / "checkpoints").mkdir()
+        return run
+
+    monkeypatch.setattr(rl.series, "train", train)
+    return calls
+
+
+def test_finished_runs_are_skipped_and_begun_ones_go_on(tmp_path, trained):
+    finished, begun, fresh = series = planned(tmp_path, "finished", "begun", "fresh")
+    finished.results.parent.mkdir()
+    finished.results.write_text(json.dumps({"steps": finished.config.total_steps}))
+    Run.create(begun.config)
+    written = []
+
+    def write_up():
+        written.append(sorted(path.stem for path in (tmp_path / "results").iterdir()))
+
+    said = io.StringIO()
+    run_series(series, lambda run: {"of": run.directory.name}, write_up, Console(file=said))
+    assert trained == [("begun", True), ("fresh", False)]
+    assert written == [["begun", "finished"], ["begun", "finished", "fresh"], ["begun", "finished", "fresh"]]
+    assert "[1/3] finished: finished before" in said.getvalue()
+    assert "[3/3] fresh: the run fresh" in said.getvalue()
+    results = json.loads(fresh.results.read_text())
+    assert (results["label"], results["of"], results["steps"]) == ("fresh", "fresh", fresh.config.total_steps)
+    assert results["settings"] == settings_of(fresh.config)
+    assert {"machine", "versions"} < set(results)
+    assert not (fresh.config.directory / "checkpoints").exists()
+
+    trained.clear()
+    run_series(series, lambda run: {}, write_up, Console(file=said))
+    assert not trained
+
+
+def test_what_fails_or_is_trained_by_another_process_does_not_end_the_others(tmp_path, trained, monkeypatch):
+    broken, busy, last = series = planned(tmp_path, "broken", "busy", "last")
+    train = rl.series.train
+
+    def train_where_no_other_does(config, **settings):
+        with Run(config.directory).claimed():
+            return train(config, **settings)
+
+    monkeypatch.setattr(rl.series, "train", train_where_no_other_does)
+    said = io.StringIO()
+    with Run(busy.config.directory).claimed(), pytest.raises(SeriesError, match="not finished: broken, busy;"):
+        run_series(series, lambda run: {}, lambda: None, Console(file=said, width=200))
+    assert "broken: the loss is nan" in said.getvalue()
+    assert "busy: another process is training in" in said.getvalue()
+    assert trained == [("broken", False), ("last", False)]
+    assert last.results.exists()
+    assert not broken.results.exists()
+
+
+def test_results_of_another_length_are_refused_before_anything_is_trained(tmp_path, trained):
+    one, other = planned(tmp_path, "one", "other")
+    other.results.parent.mkdir()
+    other.results.write_text(json.dumps({"steps": 5}))
+    with pytest.raises(ValueError, match=r"other\.json has the results of 5 steps, .* move it away"):
+        run_series([one, other], lambda run: {}, lambda: None, Console(file=io.StringIO()))
+    assert not trained
