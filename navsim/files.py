@@ -45,8 +45,10 @@ def atomic_write(path: str | os.PathLike[str], mode: str = "w", *, parents: bool
         os.chmod(name, _permissions(target))  # mkstemp makes files that only their owner can read
         os.replace(name, target)
         flush_to_disk(target.parent)
-    except BaseException:
+    except BaseException as error:
         Path(name).unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.filename is None:  # a disk that is full does not tell of what file
+            error.filename = str(path)
         raise
 
 

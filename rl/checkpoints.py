@@ -21,7 +21,8 @@ from typing import Any
 from torchrl.checkpoint import Checkpoint, CheckpointRotation, StateDictCheckpointAdapter
 
 from navsim.files import flush_to_disk
-from rl.run import RunError, writing
+from rl.config import TrainConfig
+from rl.run import RunError, settings_of, writing
 from rl.safe_loading import nothing_executed_from
 
 KEPT = 3
@@ -83,8 +84,7 @@ class Checkpoints:
             with writing(final):
                 checkpoint.save(new, metadata={"settings": self._settings, _SCORE: score})
                 _seal(new)
-                if final.exists():  # damaged, or it would have been gone on from
-                    shutil.rmtree(final)
+                _remove(final)  # where there is one, it is damaged, or it would have been gone on from
                 os.replace(new, final)
                 flush_to_disk(self.directory)
         finally:
@@ -107,7 +107,7 @@ class Checkpoints:
             if not damage:
                 for passed, why in damaged:
                     say(f"{passed} is damaged ({why}): it is removed, and the run goes on from {path.name}")
-                    shutil.rmtree(passed)
+                    _remove(passed)
                 return path
             damaged.append((path, damage))
         if damaged:
@@ -125,10 +125,9 @@ class Checkpoints:
             RunError: for a checkpoint of other settings or another version.
         """
         try:
-            settings = Checkpoint.manifest(path)["metadata"]["settings"]
-            unlike = sorted(
-                name for name in {*settings, *self._settings} if settings.get(name) != self._settings.get(name)
-            )
+            written = Checkpoint.manifest(path)["metadata"]["settings"]
+            settings = settings_of(TrainConfig.from_dict(written))  # those that came later at their defaults
+            unlike = sorted(name for name, value in settings.items() if value != self._settings[name])
             if unlike:
                 raise RunError(
                     f"{path} was written with other settings than {self.directory.parent / 'config.json'} holds "
@@ -153,6 +152,14 @@ class Checkpoints:
 def step_of(path: Path) -> int:
     """Transitions that had been collected when a checkpoint was written."""
     return int(path.name.rpartition("-")[2])
+
+
+def _remove(path: Path) -> None:
+    """Removes whatever has the name of a checkpoint: a directory, or a file or link that somebody has put there."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def find_damage(path: Path) -> str:

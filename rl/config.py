@@ -237,6 +237,9 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
             )
         if self.loss_function == "categorical" and self.atoms < 2:
             yield f"--atoms must be at least 2; got {self.atoms}"
+        for name in ("least_return", "greatest_return"):
+            if not math.isfinite(getattr(self, name)):
+                yield f"--{_flag(name)} must be a finite number; got {getattr(self, name)}"
         if not self.least_return < self.greatest_return:
             yield f"--least-return ({self.least_return}) must be below --greatest-return ({self.greatest_return})"
         if self.steps_per_batch % max(self.num_envs, 1):
@@ -270,8 +273,8 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
                 self.randomization.check(self.camera, self.task, self.sensor)
             except ValueError as error:
                 yield str(error)
-        if self.max_grad_norm is not None and not self.max_grad_norm > 0:
-            yield f"--max-grad-norm must be positive or None; got {self.max_grad_norm}"
+        if self.max_grad_norm is not None and not (math.isfinite(self.max_grad_norm) and self.max_grad_norm > 0):
+            yield f"--max-grad-norm must be positive and finite, or None; got {self.max_grad_norm}"
 
     @property
     def learner_threads(self) -> int:

@@ -663,7 +663,8 @@ def _drive(
     running = np.flatnonzero(driven)  # the episode of each of the simulator's robots
     if 0 < len(running) < len(driven):
         simulator, memory, state = _subset(simulator, memory, state, driven)
-    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC), _evaluation_mode(policy):
+    greedily = set_exploration_type(ExplorationType.DETERMINISTIC)
+    with torch.no_grad(), greedily, _evaluation_mode(policy), _one_thread():
         while len(running):
             state = policy(state)
             actions = state["action"].reshape(-1).cpu().numpy()
@@ -738,6 +739,17 @@ def _simulator_of(simulator: Simulator, kept: np.ndarray) -> Simulator:
     )
     smaller.load_state_dict(pick(simulator.state_dict()))
     return smaller
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Products are computed by one thread: shared out among others, their sums might differ in the last digit."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 @contextmanager

@@ -7,6 +7,8 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+import torch
+
 from navsim.errors import WorldError
 from navsim.worldfile import load_world
 from navsim.worldsource import is_generated
@@ -39,6 +41,8 @@ def obstacles(config: TrainConfig) -> Iterator[str]:
                 load_world(source)
             except WorldError as error:
                 yield str(error)
+    if config.device == "cuda" and not torch.cuda.is_available():
+        yield "--device cuda: PyTorch finds no such device here; use --device cpu"
     directory = config.directory.absolute()
     place = next(path for path in (directory, *directory.parents) if path.exists())
     if not place.is_dir():

@@ -15,6 +15,9 @@ from torch import Tensor
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 from torchrl.objectives import SoftUpdate
 
+_SMALL = 100_000
+"""Numbers in a tensor that takes a hundredth of an update to look at: any of the networks' but the streams' weights."""
+
 
 class ClippedAdam(torch.optim.Adam):
     """Adam (Kingma and Ba 2015, arXiv 1412.6980) on gradients whose norm, over all weights, is clipped.
@@ -37,8 +40,8 @@ class ClippedAdam(torch.optim.Adam):
     def step(self, closure: Any = None) -> Any:
         """One step; the gradients are left as they were clipped.
 
-        Where there is no norm to clip, the gradients of biases are looked at alone, which costs a fiftieth: each is a
-        sum of what the gradients of its layer's weights are products of.
+        Where there is no norm to clip, the gradients of large layers' weights are not looked at, which would cost most:
+        they are products of finite features and of what their biases' gradients are sums of.
 
         Raises:
             FloatingPointError: for a gradient that is not finite; no weight has been changed.
@@ -48,7 +51,8 @@ class ClippedAdam(torch.optim.Adam):
         if self._max_norm is not None:
             norm = torch.nn.utils.get_total_norm(gradients, foreach=True)
         else:
-            norm = torch.cat([gradient for gradient in gradients if gradient.ndim == 1] or gradients[:1]).sum()
+            small = [gradient for gradient in gradients if gradient.numel() <= _SMALL] or gradients[:1]
+            norm = torch.stack([gradient.sum() for gradient in small]).sum()
         if not math.isfinite(float(norm)):
             raise FloatingPointError(f"the norm of the gradient is {float(norm)}")
         if self._max_norm is not None:

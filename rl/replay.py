@@ -410,6 +410,21 @@ class ArrayPrioritizedSampler(PrioritizedSampler):
         self._min_tree = _MinArray(self._max_capacity)
         self._max_priority = None
 
+    def state_dict(self) -> dict[str, Any]:
+        """TorchRL's, with tensors in place of objects, which nothing is loaded of that executes no code."""
+        state = super().state_dict()
+        return state | {name: state[name].values.clone() for name in _TREES}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Goes on from ``state_dict``."""
+        trees = {name: getattr(self, name) for name in _TREES}
+        for name, tree in trees.items():
+            tree.values.copy_(state_dict[name])
+        super().load_state_dict({**state_dict, **trees})
+
+
+_TREES = ("_sum_tree", "_min_tree")
+
 
 class _Array:
     """The part of a compiled segment tree's interface that ``PrioritizedSampler`` uses, on an array."""
@@ -417,30 +432,30 @@ class _Array:
     neutral: float
 
     def __init__(self, size: int) -> None:
-        self._values = torch.full((size,), self.neutral, dtype=torch.float64)
+        self.values = torch.full((size,), self.neutral, dtype=torch.float64)
 
     def __getitem__(self, index: Tensor | int) -> Tensor | float:
-        return self._values[index].float() if isinstance(index, Tensor) else self._values[index].item()
+        return self.values[index].float() if isinstance(index, Tensor) else self.values[index].item()
 
     def __setitem__(self, index: Tensor | int, value: Tensor | float) -> None:
-        self._values[index] = torch.as_tensor(value, dtype=torch.float64)
+        self.values[index] = torch.as_tensor(value, dtype=torch.float64)
 
 
 class _SumArray(_Array):
     neutral = 0.0
 
     def query(self, first: int, last: int) -> float:
-        return self._values[first:last].sum().item()
+        return self.values[first:last].sum().item()
 
     def scan_lower_bound(self, mass: Tensor) -> Tensor:
-        return torch.searchsorted(self._values.cumsum(0), mass.double(), right=True)
+        return torch.searchsorted(self.values.cumsum(0), mass.double(), right=True)
 
 
 class _MinArray(_Array):
     neutral = math.inf
 
     def query(self, first: int, last: int) -> float:
-        return self._values[first:last].min().item()
+        return self.values[first:last].min().item()
 
 
 _MIRRORED_ACTIONS = torch.tensor(MIRRORED_ACTIONS)

@@ -151,12 +151,18 @@ def _train(config: TrainConfig, run: Run, resume: bool, console: Console) -> Run
     for name, part in parts.items():
         checkpoint.register(name, part, adapter=StateFile(mapped=name == "replay"))
 
+    saved = 0 if begun is None else step_of(begun)
+
     def save() -> None:
+        nonlocal saved
+        if saved == progress.step:
+            return
         watch.check_weights()
         learner.hand_over()
         logs.flush()
         run.save_policy("policy_last", learner.actor.state_dict())
         checkpoints.save(checkpoint, progress.step, logs.take_score())
+        saved = progress.step
 
     with _closing(collector), logs, progress_bar(console) as bar, _interrupts_between_batches() as interrupts:
         if begun is not None:
@@ -216,10 +222,9 @@ def _train(config: TrainConfig, run: Run, resume: bool, console: Console) -> Run
                 bar.update(shown, status=status)
             if checkpoint_due(progress.step):
                 save()
-            elif interrupts:
+            if interrupts:
                 bar.update(shown, status="interrupted: saving a checkpoint")
                 save()
-            if interrupts:
                 raise KeyboardInterrupt
     return run
 
@@ -238,14 +243,10 @@ def _saving_at_its_failure(
     collector: ResumableCollector | PersistentCollector, save: Callable[[], None]
 ) -> Iterator[TensorDictBase]:
     """The collector's batches; when there can be no more of them, what has been learnt from the others is saved."""
-    something_new = False
     try:
-        for batch in collector:
-            yield batch
-            something_new = True
+        yield from collector
     except CollectorError:
-        if something_new:
-            save()
+        save()
         raise
 
 
@@ -313,7 +314,7 @@ class _Logs:
         self._tensorboard: TensorboardLogger | None = None
         self._best = (-1.0, -1.0)
         self._best_weights: dict[str, torch.Tensor] = {}
-        self._latest = (-1.0, 0.0)
+        self._best_since_saved = (-1.0, 0.0)
         self._rows: dict[str, list[dict[str, str]]] = {"train": [], "evaluation": []}
 
     def __enter__(self) -> _Logs:
@@ -335,12 +336,12 @@ class _Logs:
         threading.excepthook = self._hook
 
     def take_score(self) -> float:
-        """What an evaluation since the last call has told: success, then shorter paths; −1 where there was none.
+        """What the best evaluation since the last call has told: success, then shorter paths; −1 where there was none.
 
         So of all checkpoints the best is one that the best evaluation is of, or else the next one after it.
         """
-        success_rate, spl = self._latest
-        self._latest = (-1.0, 0.0)
+        success_rate, spl = self._best_since_saved
+        self._best_since_saved = (-1.0, 0.0)
         return success_rate + 1e-6 * spl
 
     def begin(self, progress: TrainingProgress) -> None:
@@ -387,10 +388,11 @@ class _Logs:
         text = self._run.evaluations.append(row)
         self._rows["evaluation"].append(text)
         self._curves("evaluation", text, time.time())
-        self._latest = (result.success_rate, result.spl)
+        score = (result.success_rate, result.spl)
+        self._best_since_saved = max(self._best_since_saved, score)
         # At equal success the shorter paths win; at equal paths the later weights.
-        if self._latest >= self._best:
-            self._best = self._latest
+        if score >= self._best:
+            self._best = score
             self._best_weights = {name: weight.clone() for name, weight in learner.actor.state_dict().items()}
             self._run.save_policy("policy", self._best_weights)
 

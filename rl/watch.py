@@ -20,8 +20,6 @@ from rl.learner import Learner, name_in_network
 from rl.progress import TrainingProgress
 from rl.run import Run, writing
 
-_OBSERVED = ("heading", "pose", ("next", "heading"), ("next", "pose"), ("next", "reward"))
-"""Floating-point entries of a collected batch; images are whole numbers."""
 _DIVERGED = 2.0
 """A Q-value so many times beyond what rewards and discount allow tells of divergence, not of an error of learning."""
 _WARN_AGAIN = 10.0
@@ -67,9 +65,8 @@ class Watch:
         Raises:
             NumbersError: for an observation or a reward that is not finite.
         """
-        for key in _OBSERVED:
-            values = batch.get(key)
-            if not _is_finite(values):
+        for key, values in batch.items(include_nested=True, leaves_only=True):
+            if values.is_floating_point() and not _is_finite(values):
                 robot, time = torch.nonzero(~values.isfinite().flatten(2).all(-1))[0].tolist()
                 value = values[robot, time][~values[robot, time].isfinite()][0].item()
                 name = key if isinstance(key, str) else key[-1]

@@ -1,8 +1,12 @@
 """Trains at full speed for hours and watches what must not grow: python scripts/soak.py --help
 
-Samples resident memory, open files and processes of ``navsim train`` and all its processes, and how many transitions it
-makes a second of processor time; looks what is left in /dev/shm; then judges and draws all that. The run is an ordinary
-one: it can be resumed, evaluated, and used.
+Samples the memory that ``navsim train`` and all its processes have written to, their open files, and how many
+transitions they make a second of processor time; looks what is left in /dev/shm; then judges and draws all that. The
+run is an ordinary one: it can be resumed, evaluated, and used.
+
+A second of processor time is not always worth the same: other programs, and other virtual machines on the same host,
+take caches, memory and clock rate. So speed is told in updates of a fixed network, written in plain PyTorch, that is
+trained for a tenth of a second every five: a reference that slows down with the machine, and not with the run.
 """
 
 from __future__ import annotations
@@ -22,6 +26,7 @@ from typing import Any
 
 import numpy as np
 import psutil
+import torch
 import tyro
 from matplotlib.ticker import EngFormatter
 from rich.console import Console
@@ -33,6 +38,8 @@ from rl.run import Run, processor, versions
 SHARED_MEMORY = Path("/dev/shm")
 SAMPLE_SECONDS = 5.0
 """Between two looks at the processes."""
+REFERENCE_UPDATES = 8
+"""Of the reference, at each look."""
 SETTINGS = (
     *["--world", "generate:clutter,density=0.11,count=400", "--collector", "async", "--total-steps"],
     "10000000",
@@ -86,6 +93,7 @@ def watch(hours: float, directory: Path, settings: list[str], console: Console) 
     console.print(f"navsim {shlex.join(command)}", soft_wrap=True, highlight=False)
     samples: list[dict[str, float]] = []
     shared_before = set(SHARED_MEMORY.iterdir())
+    reference = Reference()
     begin = time.monotonic()
     with tempfile.TemporaryFile("w+") as output:
         process = subprocess.Popen([sys.executable, "-m", "rl.cli", *command], stdout=output, stderr=subprocess.STDOUT)
@@ -100,7 +108,7 @@ def watch(hours: float, directory: Path, settings: list[str], console: Console) 
                     break
                 if sample := look_at(trainer, past):
                     step = last_step(directory)
-                    samples.append({"seconds": seconds, "step": step} | sample)
+                    samples.append({"seconds": seconds, "step": step} | sample | {"reference": reference.seconds()})
                     status.update(
                         f"{seconds / 60.0:.0f} of {60.0 * hours:.0f} min, step {step:,},"
                         f" {sample['memory'] / 2**20:.0f} MiB, {sample['files']} files"
@@ -116,10 +124,41 @@ def watch(hours: float, directory: Path, settings: list[str], console: Console) 
         "versions": versions(),
         "replay_capacity": Run(directory).config.replay_capacity,
         "evaluation_interval": Run(directory).config.eval_interval,
+        "workers_replaced": replacements(directory),
         "processes_left": len(left),
         "shared_memory_left": abandoned(shared_before),
         "samples": {key: [sample[key] for sample in samples] for key in samples[0]},
     }
+
+
+class Reference:
+    """Updates of a network of the size of the run's, none of whose code is the run's."""
+
+    def __init__(self) -> None:
+        torch.set_num_threads(1)
+        nn = torch.nn
+        self._network = nn.Sequential(
+            *(nn.Conv2d(4, 32, (10, 14), 8, (3, 3)), nn.ReLU(), nn.Conv2d(32, 64, 4, 2, 1), nn.ReLU()),
+            *(nn.Conv2d(64, 64, 3, 1, 1), nn.ReLU(), nn.Flatten(), nn.LazyLinear(1024), nn.ReLU(), nn.Linear(1024, 8)),
+        )
+        self._images = torch.rand(64, 4, 64, 80)
+        self._network(self._images)
+        self._optimiser = torch.optim.Adam(self._network.parameters(), fused=True)
+
+    def seconds(self) -> float:
+        """Processor time of an update, a mean; one before them, which finds the caches cold, does not count."""
+        self._update()
+        begin = time.process_time()
+        for _ in range(REFERENCE_UPDATES):
+            self._update()
+        return (time.process_time() - begin) / REFERENCE_UPDATES
+
+    def _update(self) -> None:
+        with torch.autocast("cpu", torch.bfloat16):
+            loss = self._network(self._images).square().mean()
+        self._optimiser.zero_grad()
+        loss.backward()
+        self._optimiser.step()
 
 
 def look_at(trainer: psutil.Process, past: dict[int, float]) -> dict[str, float]:
@@ -178,21 +217,32 @@ def last_step(directory: Path) -> int:
         return 0  # not written yet, or just being written
 
 
+def replacements(directory: Path) -> int:
+    """Processes that have taken a failed one's place."""
+    try:
+        return (directory / "warnings.txt").read_text(encoding="utf-8").count("another one has taken its place")
+    except FileNotFoundError:
+        return 0
+
+
 def abandoned(before: set[Path]) -> list[str]:
     """What is in /dev/shm that was not there before, and that no living process, of whatever program, has mapped."""
+    new = {}
+    for path in set(SHARED_MEMORY.iterdir()) - before:
+        with contextlib.suppress(OSError):  # another program has just removed it
+            new[path.name] = path.stat().st_ino
     held: set[int] = set()  # numbers: glibc maps a semaphore under another name, which it then takes away
     for maps in Path("/proc").glob("[0-9]*/maps"):
         with contextlib.suppress(OSError):
             lines = [line.split() for line in maps.read_text().splitlines()]
             held |= {int(line[4]) for line in lines if len(line) > 5 and line[5].startswith(str(SHARED_MEMORY))}
-    new = set(SHARED_MEMORY.iterdir()) - before
-    return sorted(path.name for path in new if path.stat().st_ino not in held)
+    return sorted(name for name, number in new.items() if number not in held and (SHARED_MEMORY / name).exists())
 
 
 def judge(measured: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """What must be flat, and whether it is."""
-    seconds, step, memory, files, cpu = (
-        np.array(measured["samples"][key], float) for key in ("seconds", "step", "memory", "files", "cpu")
+    seconds, step, memory, files, cpu, reference = (
+        np.array(measured["samples"][key], float) for key in ("seconds", "step", "memory", "files", "cpu", "reference")
     )
     warm = step >= step[0] + WARM_UP * measured["replay_capacity"]
     if np.count_nonzero(warm) < 4 or seconds[-1] - seconds[warm][0] < 2 * WINDOW:
@@ -200,8 +250,9 @@ def judge(measured: dict[str, Any]) -> dict[str, dict[str, Any]]:
     medians = window_medians(seconds[warm], memory[warm])
     memory_change = (medians.max() - medians.min()) / np.median(medians)
     first, last = (np.max(part) for part in np.array_split(files[warm], 4)[::3])
-    speeds = window_speeds(seconds[warm], step[warm], cpu[warm])
-    speed_change = np.abs(speeds / np.median(speeds) - 1.0).max()
+    updates = np.cumsum(np.diff(cpu[warm], prepend=cpu[warm][0]) / reference[warm])  # in the run's processor time
+    speeds, plain_speeds = (window_speeds(seconds[warm], step[warm], per) for per in (updates, cpu[warm]))
+    speed_change, plain_change = (np.abs(each / np.median(each) - 1.0).max() for each in (speeds, plain_speeds))
     return {
         "memory": {
             "passed": bool(memory_change <= MOST_MEMORY_CHANGE),
@@ -215,8 +266,14 @@ def judge(measured: dict[str, Any]) -> dict[str, dict[str, Any]]:
         },
         "speed": {
             "passed": bool(speed_change <= MOST_SPEED_CHANGE),
-            "text": f"speed: {np.median(speeds):.0f} transitions a second of processor time; {len(speeds)} windows of "
-            f"{WINDOW / 60:.0f} min differ from it by at most {speed_change:.1%}; {MOST_SPEED_CHANGE:.0%} are allowed",
+            "text": f"speed: {np.median(speeds):.1f} transitions in the processor time of a reference update; "
+            f"{len(speeds)} windows of {WINDOW / 60:.0f} min differ from it by at most {speed_change:.1%}; "
+            f"{MOST_SPEED_CHANGE:.0%} are allowed ({np.median(plain_speeds):.0f} a second of processor time, within "
+            f"{plain_change:.1%})",
+        },
+        "workers": {
+            "passed": measured["workers_replaced"] == 0,
+            "text": f"processes that had to be replaced: {measured['workers_replaced']}",
         },
         "left": {
             "passed": measured["processes_left"] == 0 and not measured["shared_memory_left"],
@@ -232,11 +289,11 @@ def window_medians(seconds: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.array([np.median(values[number == window]) for window in range(max(1, number[-1]))])
 
 
-def window_speeds(seconds: np.ndarray, step: np.ndarray, cpu: np.ndarray) -> np.ndarray:
-    """Transitions a second of processor time in windows of ``WINDOW``; an incomplete one at the end is left out."""
+def window_speeds(seconds: np.ndarray, step: np.ndarray, spent: np.ndarray) -> np.ndarray:
+    """Transitions for each unit of what was spent, in windows of ``WINDOW``, without an incomplete one at the end."""
     new = np.flatnonzero(np.diff(step, prepend=step[0]) > 0)  # between these, nobody knows how many there were
     marks = np.arange(seconds[new[0]], seconds[new[-1]] + 1.0, WINDOW)
-    steps, at = (np.interp(marks, seconds[new], values[new]) for values in (step, cpu))
+    steps, at = (np.interp(marks, seconds[new], values[new]) for values in (step, spent))
     return np.diff(steps) / np.diff(at)
 
 

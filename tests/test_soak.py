@@ -26,22 +26,27 @@ def soak():
     return module
 
 
-def measured(memory=1.0, speed=1.0, files=0, **left):
-    """Two hours of which the last quarter has so much more memory and speed, and so many more files, than the rest."""
+def measured(memory=1.0, speed=1.0, files=0, machine=1.0, **left):
+    """Two hours of which the last quarter has so much more memory and speed, and so many more files, than the rest.
+
+    And in which the machine was so much faster at the same time.
+    """
     seconds = np.arange(0.0, 7200.0, 5.0)
     late = seconds > 5400.0
     cpu = 1.3 * seconds
-    step = np.cumsum(np.where(late, speed, 1.0) * 5.0 * 200.0)
+    step = np.cumsum(np.where(late, speed * machine, 1.0) * 5.0 * 200.0)
     samples = {
         "seconds": seconds,
         "step": 4000 * (step // 4000),  # as the log tells it
         "memory": np.where(late, memory, 1.0) * 1.6e9 + 1e8 * (seconds % 300.0 < 20.0),  # evaluations take some
         "files": np.where(late, 160 + files, 160),
         "cpu": cpu,
+        "reference": 0.03 / np.where(late, machine, 1.0),
     }
     return {
         "replay_capacity": 50_000,
         "evaluation_interval": 12_500,
+        "workers_replaced": 0,
         "processes_left": 0,
         "shared_memory_left": [],
         "samples": {key: values.tolist() for key, values in samples.items()},
@@ -58,8 +63,12 @@ def measured(memory=1.0, speed=1.0, files=0, **left):
         (measured(memory=0.97), {"memory"}),
         (measured(speed=0.93), {"speed"}),
         (measured(speed=1.07), {"speed"}),
+        (measured(machine=0.8), set()),
+        (measured(machine=1.2, speed=0.93), {"speed"}),
+        (measured(machine=0.8, speed=1 / 0.8), {"speed"}),
         (measured(files=1), {"files"}),
         (measured(files=-1), set()),
+        (measured(workers_replaced=1), {"workers"}),
         (measured(processes_left=1), {"left"}),
         (measured(shared_memory_left=["torch_1_2"]), {"left"}),
     ],

@@ -173,6 +173,7 @@ def test_a_background_collector_goes_on_by_itself_and_its_process_is_replaced_wh
     told: list[str] = []
     collector = make_collector(env, explorer(actor, env, config), config, total_steps=3200, replaced=told.append)
     (process,) = collector.procs
+    lived = {os.getpid(), process.pid}
     try:
         batches = []
         for batch in itertools.islice(collector, 12):
@@ -192,6 +193,7 @@ def test_a_background_collector_goes_on_by_itself_and_its_process_is_replaced_wh
         count, is_stopped = 12 * 32, False
         for batch in collector:
             count += batch.numel()
+            lived |= {one.pid for one in collector.procs}
             if told and not is_stopped:
                 os.kill(collector.procs[0].pid, signal.SIGSTOP)
                 is_stopped = True
@@ -205,7 +207,37 @@ def test_a_background_collector_goes_on_by_itself_and_its_process_is_replaced_wh
     assert not multiprocessing.active_children()
     del collector, process
     gc.collect()
-    assert_no_shared_memory_is_left(names, os.getpid())
+    assert len(lived) == 4
+    assert_no_shared_memory_is_left(names, *lived)
+
+
+class SleepyPolicy(FailingPolicy):
+    """Turns left, and falls asleep at its hundredth call."""
+
+    def forward(self, tensordict):
+        try:
+            return super().forward(tensordict)
+        except ArithmeticError:
+            return self.fall_asleep()
+
+    def fall_asleep(self):
+        time.sleep(600)
+
+
+def test_a_background_collector_that_hangs_is_told_with_the_place_where_it_does():
+    config = replace(CONFIG, collector="async", worker_timeout=3.0)
+    told: list[str] = []
+    collector = make_collector(make_env(config), SleepyPolicy(), config, total_steps=3200, replaced=told.append)
+    try:
+        for _ in collector:
+            if told:
+                break
+        assert "hung: it gave no sign of life for 3 s" in told[0]
+        assert "it was here:" in told[0]
+        assert "in fall_asleep" in told[0]
+    finally:
+        collector.shutdown(raise_on_error=False)
+    assert not multiprocessing.active_children()
 
 
 def test_an_exception_in_a_background_collector_is_told_with_its_traceback():
@@ -257,7 +289,7 @@ def test_a_process_ends_with_the_one_that_was_killed_even_when_it_hangs(tmp_path
     if not ended:
         os.kill(child, signal.SIGKILL)
     assert ended
-    assert_no_shared_memory_is_left(names, parent.pid)
+    assert_no_shared_memory_is_left(names, parent.pid, child)
 
 
 SHARED_MEMORY = Path("/dev/shm")
@@ -274,17 +306,17 @@ def note_semaphores(names: list[str]) -> Callable[[], str]:
     return noted
 
 
-def assert_no_shared_memory_is_left(names: list[str], process: int) -> None:
+def assert_no_shared_memory_is_left(names: list[str], *processes: int) -> None:
     """Of the semaphores ``names``, and of PyTorch's files, which bear the number of the process that made them."""
     deadline = time.monotonic() + 15.0
-    while (left := shared_memory_left(names, process)) and time.monotonic() < deadline:
+    while (left := shared_memory_left(names, processes)) and time.monotonic() < deadline:
         time.sleep(0.1)  # the resource tracker clears up when the last process has gone
     assert not left
 
 
-def shared_memory_left(names: list[str], process: int) -> list[str]:
+def shared_memory_left(names: list[str], processes: tuple[int, ...]) -> list[str]:
     assert names
-    torchs = [file.name for file in SHARED_MEMORY.glob(f"torch_{process}_*")]
+    torchs = [file.name for process in processes for file in SHARED_MEMORY.glob(f"torch_{process}_*")]
     return torchs + [name for name in names if (SHARED_MEMORY / name).exists()]
 
 

@@ -114,7 +114,10 @@ def test_every_setting_belongs_to_one_group_of_the_help():
         ),
         ({"inputs": ("command",)}, "depth or heading among them; got command"),
         ({"inputs": ("depth", "sonar")}, "--inputs must be some of depth, heading, command"),
-        ({"max_grad_norm": -1.0}, "--max-grad-norm must be positive or None"),
+        ({"max_grad_norm": -1.0}, "--max-grad-norm must be positive and finite, or None"),
+        ({"max_grad_norm": float("inf")}, "--max-grad-norm must be positive and finite, or None"),
+        ({"greatest_return": float("inf")}, "--greatest-return must be a finite number"),
+        ({"least_return": float("-inf")}, "--least-return must be a finite number"),
     ],
 )
 def test_settings_that_cannot_work_are_refused_by_their_option(changes, named):

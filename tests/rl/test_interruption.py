@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import io
+import itertools
+import json
 import multiprocessing
 import os
 import random
@@ -13,6 +16,7 @@ import signal
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -22,12 +26,17 @@ from small_runs import tiny_config
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from torchrl.checkpoint import Checkpoint
 
+from rl.background import COLLECTOR_SETTINGS, CollectorError
 from rl.checkpoints import Checkpoints, StateFile, find_damage, step_of
+from rl.cli import main
+from rl.collect import ResumableCollector
 from rl.config import TrainConfig
 from rl.learner import Learner
 from rl.run import FORMAT, Run, RunError, Table, settings_of, write_json
 from rl.train import train
 
+LATER_SETTINGS = ("depth_scale", "heading_init")
+"""Settings that came when there were runs of the present format already."""
 TIMES = ("seconds", "processor_seconds", "steps_per_second")
 
 
@@ -239,6 +248,58 @@ def test_ctrl_c_saves_a_checkpoint_and_the_run_goes_on_from_it(tmp_path, uninter
     assert_same(Run(settings.directory), uninterrupted)
 
 
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"inputs": ("depth", "heading", "command", "surroundings"), "depth_scale": "inverse", "frame_interval": 3},
+        {"prioritized": True, "target_update": "hard", "hard_update_interval": 4, "loss_function": "l2", "n_step": 1},
+    ],
+    ids=["what the robot remembers", "another way to learn"],
+)
+def test_a_run_of_other_settings_goes_on_as_if_it_had_not_been_interrupted(tmp_path, monkeypatch, settings):
+    whole = train(config(tmp_path / "whole", **settings), console=Console(quiet=True))
+    settings = config(tmp_path / "run", **settings)
+    interrupt_at(monkeypatch, update=9)
+    with pytest.raises(KeyboardInterrupt):
+        said_by_training(settings)
+    monkeypatch.undo()
+    said_by_training(settings, resume=True)
+    assert_same(Run(settings.directory), whole)
+
+
+@pytest.mark.parametrize("batches", [5, 6])  # of 32 transitions; after six, a checkpoint is due
+def test_what_was_learnt_is_saved_once_when_there_can_be_no_more_batches(
+    tmp_path, uninterrupted, monkeypatch, capsys, batches
+):
+    class Failing(ResumableCollector):
+        def __iter__(self):
+            yield from itertools.islice(super().__iter__(), batches)
+            raise CollectorError("it is the 4th that has failed in this run")
+
+    def make_collector(env, policy, settings, *, total_steps, **_):
+        return Failing(
+            env, policy, frames_per_batch=settings.steps_per_batch, total_frames=total_steps, **COLLECTOR_SETTINGS
+        )
+
+    saved = []
+    save = Checkpoints.save
+    monkeypatch.setattr(
+        Checkpoints,
+        "save",
+        lambda self, checkpoint, step, score: saved.append(step) or save(self, checkpoint, step, score),
+    )
+    monkeypatch.setattr("rl.train.make_collector", make_collector)
+    settings = config(tmp_path / "run")
+    monkeypatch.setattr("rl.cli._training_settings", lambda arguments: (settings, False))
+    assert main(["train"]) == 1
+    told = capsys.readouterr().err
+    assert told.startswith("it is the 4th that has failed in this run\nto go on from the last checkpoint: navsim train")
+    assert saved == {5: [96, 160], 6: [96, 192]}[batches]
+    monkeypatch.undo()
+    said_by_training(settings, resume=True)
+    assert_same(Run(settings.directory), uninterrupted)
+
+
 def interrupt_at(monkeypatch: pytest.MonkeyPatch, update: int, number: int = signal.SIGINT) -> None:
     learn = Learner.update
 
@@ -366,6 +427,24 @@ def test_a_run_goes_on_from_before_a_damaged_checkpoint_to_the_same_end(tmp_path
     assert_same(Run(out), uninterrupted)
 
 
+@pytest.mark.parametrize("kind", ["file", "link"])
+def test_what_is_no_checkpoint_but_has_the_name_of_one_is_passed_over(tmp_path, uninterrupted, kind):
+    out = tmp_path / "run"
+    shutil.copytree(uninterrupted.directory, out)
+    impostor = out / "checkpoints" / "checkpoint-000000000999"
+    if kind == "file":
+        impostor.write_bytes(b"anything")
+    else:
+        (tmp_path / "elsewhere").mkdir()
+        impostor.symlink_to(tmp_path / "elsewhere")
+    said = said_by_training(config(out), resume=True)
+    assert f"{impostor} is damaged (SHA256SUMS cannot be read): it is removed" in said
+    assert not impostor.is_symlink()
+    assert not impostor.exists()
+    assert (tmp_path / "elsewhere").exists() == (kind == "link")
+    assert_same(Run(out), uninterrupted)
+
+
 def test_a_run_whose_checkpoints_are_all_damaged_is_left_alone(tmp_path, uninterrupted):
     out = tmp_path / "run"
     shutil.copytree(uninterrupted.directory, out)
@@ -382,6 +461,40 @@ def test_the_last_two_checkpoints_and_the_best_are_kept(uninterrupted):
     rows = uninterrupted.evaluations.rows()
     best = max(rows, key=lambda row: (float(row["success_rate"]), float(row["spl"]), int(row["step"])))
     assert steps == sorted({480, 512, int(best["step"])})
+
+
+def test_the_checkpoint_after_the_best_evaluation_is_kept(tmp_path, monkeypatch):
+    rates = iter([0.9, 0.5, 0.2, 0.1, 0.1, 0.1, 0.1, 0.1])  # every 64 transitions; checkpoints are every 128
+
+    def evaluate(*_):
+        rate = next(rates)
+        others = {"collision_rate": 0.0, "timeout_rate": 0.0, "spl": 0.0, "mean_reward": 0.0, "mean_steps": 0.0}
+        return SimpleNamespace(success_rate=rate, **others)
+
+    monkeypatch.setattr("rl.train._evaluate", evaluate)
+    run = train(config(tmp_path / "run", eval_interval=64, checkpoint_interval=128), console=Console(quiet=True))
+    steps = [step_of(path) for path in Checkpoints(run.directory / "checkpoints", {}).paths()]
+    assert steps == [128, 384, 512]
+
+
+def test_a_run_begun_when_there_were_fewer_settings_goes_on(tmp_path, uninterrupted):
+    out = tmp_path / "run"
+    shutil.copytree(uninterrupted.directory, out)
+    newest = sorted((out / "checkpoints").iterdir())[-1]
+    shutil.rmtree(newest)
+    settings = {name: value for name, value in config(out).to_dict().items() if name not in LATER_SETTINGS}
+    write_json(out / "config.json", {"format": FORMAT, **settings})
+    for manifest in out.glob("checkpoints/*/manifest.json"):
+        content = json.loads(manifest.read_text())
+        for name in LATER_SETTINGS:
+            del content["metadata"]["settings"][name]
+        manifest.write_text(json.dumps(content))
+        sums = manifest.with_name("SHA256SUMS")
+        lines = [line for line in sums.read_text().splitlines() if not line.endswith("  manifest.json")]
+        lines.append(f"{hashlib.sha256(manifest.read_bytes()).hexdigest()}  manifest.json")
+        sums.write_text("\n".join(lines) + "\n")
+    said_by_training(config(out), resume=True)
+    assert_same(Run(out), uninterrupted)
 
 
 def test_a_checkpoint_of_other_settings_is_refused(tmp_path, uninterrupted):

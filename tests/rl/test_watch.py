@@ -111,8 +111,12 @@ def test_a_loss_that_is_not_finite_ends_the_run_before_it_is_learnt_from(tmp_pat
 
 @pytest.mark.parametrize(
     ("max_grad_norm", "parameter", "named"),
-    [(10.0, "conv2.weight", "conv2.weight"), (None, "value.bias", "value.bias")],
-    ids=["clipped", "not clipped"],
+    [
+        (10.0, "conv2.weight", "conv2.weight"),
+        (10.0, "streams.weight", "streams.weight"),
+        (None, "value.bias", "value.bias"),
+        (None, "conv2.weight", "conv2.weight"),
+    ],
 )
 def test_a_gradient_that_is_not_finite_is_named_and_changes_no_weight(
     tmp_path, monkeypatch, max_grad_norm, parameter, named
@@ -180,8 +184,9 @@ def test_a_weight_that_is_not_finite_is_found_where_it_would_be_logged_and_where
         assert "no checkpoint had been written" in message
 
 
-@pytest.mark.parametrize("key", ["heading", "reward"])
-def test_an_observation_that_is_not_finite_is_not_stored(tmp_path, monkeypatch, key):
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+@pytest.mark.parametrize("key", ["heading", "reward", "command", "surroundings"])
+def test_an_observation_that_is_not_finite_is_not_stored(tmp_path, monkeypatch, key, value):
     step, calls = NavEnv._step, []
 
     def spoilt(self: NavEnv, tensordict: TensorDict) -> TensorDict:
@@ -189,20 +194,21 @@ def test_an_observation_that_is_not_finite_is_not_stored(tmp_path, monkeypatch, 
         if self.batch_size[0] == 16:
             calls.append(None)
             if len(calls) == 18:  # the ninth batch's second step; robot 3
-                found[key][3] = float("nan")
+                found[key][3] = value
         return found
 
     monkeypatch.setattr("rl.train._probe_states", lambda worlds, config: probe)
-    probe = NavEnv(str(HALL), 8, camera=DepthCamera(width=14, height=10), seed=0).rollout(1)
-    probe = probe.select("depth", "heading").reshape(-1)
+    inputs = ("depth", "heading", "command", "surroundings")
+    probe = NavEnv(str(HALL), 8, camera=DepthCamera(width=14, height=10), surroundings=True, seed=0).rollout(1)
+    probe = probe.select(*inputs).reshape(-1)
     monkeypatch.setattr(NavEnv, "_step", spoilt)
-    message = ended_by_bad_numbers(config(tmp_path / "run"))
-    assert message.startswith(f"step 276: the {key} of robot 3 is nan;")
+    message = ended_by_bad_numbers(config(tmp_path / "run", inputs=inputs))
+    assert message.startswith(f"step 276: the {key} of robot 3 is {value};")
     assert "please report it with that file" in message
     checkpoint, batch = checkpoint_and_batch_named_in(message)
     assert checkpoint.name == "checkpoint-000000000224"
-    (place,) = torch.nonzero(load_file(batch)[f"next.{key}"].isnan()).tolist()
-    assert place == [3, 1, 0]
+    places = torch.nonzero(~load_file(batch)[f"next.{key}"].isfinite())
+    assert set(map(tuple, places[:, :2].tolist())) == {(3, 1)}
     assert_nothing_bad_was_kept(Run.open(tmp_path / "run"))
 
 
