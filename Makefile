@@ -4,9 +4,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: help train test test-slow lint clean
+.PHONY: help install train test test-slow lint clean
 
 help:
+	@echo "make install    create $(VENV) with all that the commands below need (they do it themselves)"
 	@echo "make train      train a robot, evaluate it in a room it has never seen, write runs/<name>/report.html"
 	@echo "                (7 to 15 minutes on two cores; ARGS='--model S --seed 1' passes settings; interrupted: run it again)"
 	@echo "make test       run the test suite"
@@ -18,6 +19,8 @@ $(READY): constraints.txt pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev]"
 	@touch $@
+
+install: $(READY)
 
 train: $(READY)
 	$(BIN)/navsim train --resume $(ARGS)

@@ -43,11 +43,13 @@ EQUAL_MINUTES = 20
 
 _INTRODUCTION = f"""# Ablations
 
-What each part of learning is worth: runs that differ from the base in one thing. Success and SPL are those of the
+What each part of learning is worth: runs that differ from preset `memoryless` with D3QN-I, or from the preset that
+they name, in what is named. Success and SPL are those of the
 last weights, greedy: in `complex_eval` (100 paths), and in 200 generated rooms of the same density that no run has
 trained in ({UNSEEN_PATHS:,} paths); the mean over the seeds, and each seed. Success at {EQUAL_MINUTES} minutes is that
-of the last evaluation in `complex_eval` within {EQUAL_MINUTES} minutes of processor time: there the learning rate has
-not come down yet. `scripts/ablations.py` trains, evaluates and writes this page, and the JSON behind it in
+of the last evaluation in `complex_eval` within {EQUAL_MINUTES} minutes of processor time: the last of all, if the run
+had ended; else its learning rate had not come down yet. Minutes compare within one machine and number format only,
+which stand with the commands. `scripts/ablations.py` trains, evaluates and writes this page, and the JSON behind it in
 [{{results}}]({{results}}).
 """
 
@@ -310,9 +312,10 @@ def _page(finished: Sequence[dict[str, Any]], picture: Path) -> str:
         cells.append(f"{statistics.fmean(one['curve']['processor_seconds'][-1] for one in runs) / 60:.0f}")
         lines.append(f"| {' | '.join(cells)} |")
     lines += ["", f"![success by samples and by minutes of processor time]({picture})", "", "## Commands", ""]
-    lines += [f"- {name}: `{runs[0]['command']}`" for name, runs in rows.items()]
-    machines = sorted({f"{one['machine']}, torch {one['versions']['torch']}" for one in finished})
-    lines += ["", f"One thread each, beside other programs; {'; '.join(machines)}."]
+    for name, runs in rows.items():
+        machines = sorted({f"{one['machine']}, torch {one['versions']['torch']}" for one in runs})
+        lines.append(f"- {name}: `{runs[0]['command']}` ({'; '.join(machines)})")
+    lines += ["", "One thread each, beside other programs."]
     return "\n".join(lines) + "\n"
 
 

@@ -160,6 +160,7 @@ def evaluate(
     json: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(optional)")] = None,
     seed: int = 0,
     num_paths: Annotated[int | None, arg(help_behavior_hint="(default: all, up to 1000 in several worlds)")] = None,
+    weights: Literal["best", "last"] = "best",
     ideal: FlagCreatePairsOff[bool] = False,
     randomized: FlagCreatePairsOff[bool] = False,
 ) -> None:
@@ -173,6 +174,7 @@ def evaluate(
         seed: Seed of whatever the worlds leave open: yaws of starts, starts, goals, which paths of several worlds.
         num_paths: Paths to drive: the first that the world lists, or this many if it leaves starts or goals open; of
             several worlds this many together, evenly shared out.
+        weights: Of a run: those that did best in its evaluations, or the last, which nothing was chosen by.
         ideal: Show ideal images, whatever noise, losses and latency the run was trained with.
         randomized: Draw camera, wheels, sensor and starts for each path, from the ranges the run was trained with.
     """
@@ -182,7 +184,7 @@ def evaluate(
     from rl.policies import find_policy
 
     console = Console()
-    policy, config = find_policy(run)
+    policy, config = find_policy(run, weights=weights)
     if randomized and config.randomization == Randomization():
         raise ValueError(
             f"{run} was trained without randomization, so there is nothing to draw: leave --randomized out"
@@ -425,7 +427,7 @@ def _parse(arguments: Sequence[str], default: "TrainConfig") -> tuple["TrainConf
     from navsim.robot import Robot
     from navsim.sensor import SensorModel
     from navsim.task import Task
-    from rl.config import Collection, Experiment, Exploration, Learning, Records, TrainConfig
+    from rl.config import PARTS, Collection, ConfigError, Experiment, Exploration, Learning, Records, TrainConfig
 
     def part(kind: type[_Part]) -> _Part:
         names = [setting.name for setting in dataclasses.fields(kind)]  # type: ignore[arg-type]
@@ -434,24 +436,37 @@ def _parse(arguments: Sequence[str], default: "TrainConfig") -> tuple["TrainConf
     def documented(kind: type) -> Any:
         return arg(constructor=_documented(kind))
 
+    def unchecked(kind: type) -> Any:
+        return arg(constructor=_documented(kind, __post_init__=lambda _: None))
+
     def settings(
         experiment: OmitArgPrefixes[Annotated[Experiment, documented(Experiment)]] = part(Experiment),  # noqa: B008 - frozen
         collection: OmitArgPrefixes[Annotated[Collection, documented(Collection)]] = part(Collection),  # noqa: B008
         learning: OmitArgPrefixes[Annotated[Learning, documented(Learning)]] = part(Learning),  # noqa: B008
         exploration: OmitArgPrefixes[Annotated[Exploration, documented(Exploration)]] = part(Exploration),  # noqa: B008
         records: OmitArgPrefixes[Annotated[Records, documented(Records)]] = part(Records),  # noqa: B008
-        camera: DepthCamera = default.camera,
-        task: Task = default.task,
-        robot: Robot = default.robot,
-        sensor: SensorModel = default.sensor,
-        randomization: Randomization = default.randomization,
+        camera: Annotated[DepthCamera, unchecked(DepthCamera)] = default.camera,
+        task: Annotated[Task, unchecked(Task)] = default.task,
+        robot: Annotated[Robot, unchecked(Robot)] = default.robot,
+        sensor: Annotated[SensorModel, unchecked(SensorModel)] = default.sensor,
+        randomization: Annotated[Randomization, unchecked(Randomization)] = default.randomization,
         resume: FlagCreatePairsOff[bool] = False,
     ) -> tuple[TrainConfig, bool]:
         groups: list[Any] = [experiment, collection, learning, exploration, records]
         values = {name: value for group in groups for name, value in vars(group).items()}
-        config = TrainConfig(
-            **values, camera=camera, task=task, robot=robot, sensor=sensor, randomization=randomization
-        )
+        problems = []
+        for (name, kind), given in zip(PARTS.items(), (camera, task, robot, sensor, randomization), strict=True):
+            try:
+                values[name] = kind(**{field.name: getattr(given, field.name) for field in dataclasses.fields(kind)})
+            except ValueError as error:
+                problems.append(str(error))
+                values[name] = getattr(default, name)
+        try:
+            config = TrainConfig(**values)
+        except ConfigError as error:
+            raise ConfigError("\n".join([*problems, str(error)]), error.config) from None
+        if problems:
+            raise ConfigError("\n".join(problems), config)
         return config, resume
 
     settings.__doc__ = f"""{train.__doc__}
@@ -462,15 +477,20 @@ def _parse(arguments: Sequence[str], default: "TrainConfig") -> tuple["TrainConf
     return tyro.cli(settings, prog="navsim train", args=arguments)
 
 
-def _documented(kind: type[_Part]) -> type[_Part]:
-    """The dataclass with each field's docstring as its help in one piece; tyro keeps the source's line breaks."""
+def _documented(kind: type[_Part], **others: Any) -> type[_Part]:
+    """The dataclass with each field's docstring as its help in one piece; tyro keeps the source's line breaks.
+
+    Args:
+        kind: the dataclass.
+        others: attributes of the class in place of its own.
+    """
     hints = get_type_hints(kind, include_extras=True)
     told = {field.arg_name: " ".join((field.description or "").split()) for field in parse_from_object(kind).params}
     fields: list[Any] = [
         (setting.name, Annotated[hints[setting.name], arg(help=told[setting.name])], setting)
         for setting in dataclasses.fields(kind)  # type: ignore[arg-type]
     ]
-    namespace = {"__doc__": kind.__doc__}
+    namespace = {"__doc__": kind.__doc__, **others}
     return dataclasses.make_dataclass(kind.__name__, fields, bases=(kind,), namespace=namespace, frozen=True)
 
 

@@ -32,7 +32,7 @@ def check(
         files: World files, or names of shipped worlds; all of the latter if there is none.
         strict: Let warnings fail.
         solve: Have the planning oracle, which knows the map, drive every path, and warn of those it cannot. It takes
-            about a second a path.
+            0.2 to 1 s a path.
         paths: Print each path's length and narrowest passage as well. That passage is the narrowest one on the widest
             way from start to goal, which need not be the shortest way.
         json: Print one JSON document instead, with a report for each file.

@@ -22,6 +22,16 @@ LEAST_WIDTH, LEAST_HEIGHT = 14, 10
 """Of images, pixels: the size of the networks' first kernel (``rl.networks``)."""
 
 
+PARTS: dict[str, type] = {
+    "camera": DepthCamera,
+    "task": Task,
+    "robot": Robot,
+    "sensor": SensorModel,
+    "randomization": Randomization,
+}
+"""Settings that are of the simulator's own kinds; ``--camera.width`` is one of the first's."""
+
+
 class ConfigError(ValueError):
     """Settings that cannot be used; every problem has a line of its own.
 
@@ -41,7 +51,7 @@ class Experiment:
 
     preset: Literal["fast", "memoryless", "thesis"] = "memoryless"
     """Where the other settings start from: "fast" reaches most goals soonest, with a robot that remembers what it has
-    passed; "memoryless" learns as well with the thesis's inputs alone; "thesis" is Weideman's experiment."""
+    passed; "memoryless" learns in the same way, from the thesis's inputs alone; "thesis" is Weideman's experiment."""
     model: Model = "I"
     """How the network gets the heading: "I" as a fifth image plane, "S" as a scalar beside the image's features."""
     inputs: tuple[Input, ...] = ("depth", "heading")
@@ -60,7 +70,8 @@ class Experiment:
     """Generated rooms to train in, so many of a kind, or world files, or names of shipped worlds such as
     "complex_train"; with several worlds, each episode draws one."""
     eval_world: str = "complex_eval"
-    """World file, name of a shipped world, or generated rooms, that evaluations use. It is never trained in."""
+    """World file, name of a shipped world, or generated rooms, that evaluations use. Nothing is trained there unless
+    --world names it, too."""
     total_steps: int = 200_000
     """Environment steps (transitions) to collect in all; one is 0.2 s of one robot."""
     seed: int = 0
@@ -87,7 +98,8 @@ class Collection:
     warmup_steps: int = 5_000
     """Transitions collected before the first gradient step."""
     collector: Literal["sync", "async"] = "sync"
-    """Whether collecting and learning take turns, bit-reproducibly, or run at once in two processes."""
+    """Whether collecting and learning take turns, bit-reproducibly and with both cores for learning, or run at once in
+    two processes, which pays where simulating takes long."""
     steps_per_handover: int = 64
     """Transitions between two handovers of the network to an asynchronous collector, or from a GPU."""
     worker_timeout: float = 120.0
@@ -306,15 +318,8 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
         unknown = sorted(set(values) - {setting.name for setting in dataclasses.fields(cls)})
         if unknown:
             raise ConfigError(f"unknown settings: {', '.join(unknown)}; was this written by another version?")
-        parts: dict[str, type] = {
-            "camera": DepthCamera,
-            "task": Task,
-            "robot": Robot,
-            "sensor": SensorModel,
-            "randomization": Randomization,
-        }
         try:
-            for name, part in parts.items():
+            for name, part in PARTS.items():
                 if name in values:
                     values[name] = part(**{key: _untied(value) for key, value in values[name].items()})
         except (AttributeError, TypeError, ValueError) as error:  # no mapping at all, unknown keys, wrong values

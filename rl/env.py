@@ -58,7 +58,8 @@ class NavEnv(EnvBase):
         randomization: what each episode draws anew of camera, wheels, sensor and start; nothing by default.
         frame_interval: steps from one image of the stack to the next.
         surroundings: whether robots remember what stood around them.
-        seed: of everything drawn at random; ``set_seed`` replaces it. Fresh entropy by default.
+        seed: of everything drawn at random; ``set_seed`` replaces it. Fresh entropy by default. Generated rooms are
+            told apart by a seed in their source; those without are the rooms that a run of seed 0 trains in.
         device: where tensors are put; the simulation runs on the CPU.
 
     Raises:

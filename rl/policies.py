@@ -16,17 +16,22 @@ from rl.pretrained import PREFIX, load_pretrained
 from rl.run import POLICY_FILES, Run, RunError
 from rl.weights import misfit
 
+Weights = Literal["best", "last"]
 
-def find_policy(name: str) -> tuple[QValueActor | Baseline, TrainConfig]:
+
+def find_policy(name: str, *, weights: Weights = "best") -> tuple[QValueActor | Baseline, TrainConfig]:
     """A policy, and the settings whose camera, task and robot it is for.
 
     Args:
         name: a run's directory, ``pretrained:NAME`` for a policy that comes with the library, or one of
             ``rl.baselines.BASELINES``.
+        weights: of a run: those that did best in its evaluations, or the last.
 
     Raises:
-        RunError: if it is none of them, or a run that cannot be used.
+        RunError: if it is none of them, or a run that cannot be used; for the last weights of what is no run.
     """
+    if weights != "best" and (name.startswith(PREFIX) or name in BASELINES):
+        raise RunError(f"{name} is no run, which alone has last weights beside the best")
     if name.startswith(PREFIX):
         return load_pretrained(name)
     if name in BASELINES:
@@ -36,15 +41,16 @@ def find_policy(name: str) -> tuple[QValueActor | Baseline, TrainConfig]:
         meant = difflib.get_close_matches(name, BASELINES, n=1)
         remedy = f'did you mean "{meant[0]}"?' if meant else f"name one, or a baseline: {', '.join(BASELINES)}"
         raise RunError(f"{name} is not a run's directory; {remedy}")
-    return load_policy(name), Run(name).config
+    return load_policy(name, weights=weights), Run(name).config
 
 
-def load_policy(run: str | os.PathLike[str], *, weights: Literal["best", "last"] = "best") -> QValueActor:
+def load_policy(run: str | os.PathLike[str], *, weights: Weights = "best") -> QValueActor:
     """The policy that a run has learnt, acting greedily.
 
-    It reads ``depth`` uint8 ``(..., 4, H, W)`` and ``heading`` float32 ``(..., 1)``, images of the size that it was
-    trained with, and writes ``action``, ``action_value`` and ``chosen_action_value``. Nothing in the run's files is
-    executed.
+    It reads what its ``in_keys`` name: ``depth`` uint8 ``(..., 4, H, W)``, images of the size that it was trained with,
+    and ``heading`` float32 ``(..., 1)``; if it sees them, ``command`` float32 ``(..., 2)`` and ``surroundings`` float32
+    ``(..., 36)``, which ``NavEnv(..., surroundings=True)`` tells. It writes ``action``, ``action_value`` and
+    ``chosen_action_value``. Nothing in the run's files is executed.
 
     Args:
         run: the directory that ``navsim train`` wrote, or ``pretrained:NAME`` for a policy that comes with the library.

@@ -102,9 +102,9 @@ def results_page(runs: Sequence[dict[str, Any]], baselines: dict[str, Any], thes
     lines = [
         "# Results",
         "",
-        "Of each seed the last weights, which nothing was chosen by, greedy. A mean is worth something from three",
-        "seeds on, and was asked for with five. Made by `scripts/results.py` of what `scripts/ablations.py` trained;",
-        "[ablations.md](ablations.md) has the commands.",
+        "Of each seed the last weights, which nothing was chosen by, greedy. *Must* and *aim* are what this project",
+        "set itself before it measured, for means of five seeds. Made by `scripts/results.py` of what",
+        "`scripts/ablations.py` trained; [ablations.md](ablations.md) has the commands.",
         "",
         "## Beyond the thesis",
         "",
@@ -119,13 +119,13 @@ def results_page(runs: Sequence[dict[str, Any]], baselines: dict[str, Any], thes
     of_complex, of_unseen = (_share_of_success(baselines["oracle"][place]) for place in (COMPLEX, UNSEEN))
     lines += [
         "",
-        "SPL was asked to be at least 0.93 of success. The planning oracle, which has the map and drives by the same",
+        "SPL should be at least 0.93 of success. The planning oracle, which has the map and drives by the same",
         f"rules, has {of_complex} in `complex_eval` and {of_unseen} in the unseen rooms.",
         "",
         f"The best variant is `{VARIANT}`, which `make train` trains: D3QN-I, {ROWS[VARIANT].what}.",
         "",
         f"**Time to {ENOUGH:.0%}** in `complex_eval`: minutes of processor time at the first evaluation that reaches",
-        "it, each seed (asked for: 20 minutes on two cores, aim 10): "
+        "it, each seed (must: 20 minutes on two cores; aim: 10): "
         + "; ".join(f"{name} {_times(by_row[row])}" for name, row in _TIMED)
         + ".",
         "",

@@ -26,7 +26,7 @@ def collect(
 
     Args:
         out: Directory to write to.
-        world: World file, or name of a shipped world.
+        world: World file, name of a shipped world, or generated rooms such as generate:clutter,count=200.
         batches: Batches to collect, each of 16 steps of every robot.
         num_envs: Robots that one environment simulates together.
         processes: Processes that collect side by side, each with an environment; 0 collects in this one.

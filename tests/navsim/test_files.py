@@ -1,5 +1,6 @@
 """Files that are there as a whole or not at all."""
 
+import errno
 import os
 import stat
 
@@ -43,6 +44,16 @@ def test_what_fails_on_the_way_leaves_what_was_there_and_no_trace(tmp_path, erro
         fail()
     assert path.read_text() == "before"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_disk_that_is_full_tells_of_which_file(tmp_path, monkeypatch):
+    def full(handle):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match=r"No space left on device: '.*file'$"), atomic_write(tmp_path / "file") as file:
+        file.write("too much")
+    assert not any(tmp_path.iterdir())
 
 
 def test_permissions_stay_and_new_files_have_those_of_any_other(tmp_path):

@@ -6,6 +6,7 @@ import dataclasses
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -24,6 +25,8 @@ from navsim.sensor import SensorModel
 from navsim.task import Task
 from rl.cli import main
 from rl.config import PRESETS, TrainConfig
+from rl.evaluation import Evaluation, evaluate_as_trained
+from rl.policies import load_policy
 from rl.run import Run
 
 REPOSITORY = Path(__file__).parents[2]
@@ -155,6 +158,21 @@ def test_the_oracle_solves_what_the_straight_line_does_not(room, tmp_path):
         assert main(["evaluate", name, "--world", str(room), "--json", str(tmp_path / name)]) == 0
         rates[name] = json.loads((tmp_path / name).read_text())["summary"]["success_rate"]
     assert rates == {"oracle": 1.0, "straight": 0.5}  # the box stands between the start and the first goal
+
+
+def test_the_last_weights_of_a_run_can_be_evaluated_and_nothing_else_has_any(finished, room, tmp_path, capsys):
+    run = tmp_path / "run"
+    shutil.copytree(finished, run, ignore=shutil.ignore_patterns("checkpoints"))
+    (run / "policy.pt").unlink()
+    result = tmp_path / "result.json"
+    assert main(["evaluate", str(run), "--world", str(room), "--weights", "last", "--json", str(result)]) == 0
+    last = evaluate_as_trained(load_policy(finished, weights="last"), Run(finished).config, str(room))
+    assert [path.actions.tolist() for path in Evaluation.from_json(result.read_text()).paths] == [
+        path.actions.tolist() for path in last.paths
+    ]
+    capsys.readouterr()
+    assert main(["evaluate", "oracle", "--world", str(room), "--weights", "last"]) == 2
+    assert capsys.readouterr().err == "oracle is no run, which alone has last weights beside the best\n"
 
 
 def test_a_world_with_random_paths_is_evaluated_on_as_many_as_asked_for(room, tmp_path):

@@ -133,10 +133,12 @@ def test_training_refuses_before_anything_is_written(tmp_path):
     assert not any(tmp_path.iterdir())
 
 
-def test_all_problems_are_told_together(tmp_path, capsys):
+def test_all_problems_are_told_together(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     (tmp_path / "file").touch()
     arguments = ["train", "--batch-size", "500", "--replay-capacity", "400", "--camera.height", "8", "--gamma", "2"]
-    arguments += ["--eval-world", "complex_evil", "--out", str(tmp_path / "file" / "run")]
+    arguments += ["--eval-world", "complex_evil", "--out", str(tmp_path / "file" / "run"), "--device", "cuda"]
+    arguments += ["--task.goal-radius", "-1", "--sensor.latency", "-1"]
     assert main(arguments) == 2
     problems = capsys.readouterr().err.splitlines()
     for told in (
@@ -146,9 +148,12 @@ def test_all_problems_are_told_together(tmp_path, capsys):
         "--camera.height (8) must be at least",
         "complex_evil: there is no such world file",
         f"{tmp_path / 'file'} is a file",
+        "--device cuda: PyTorch finds no such device here",
+        "task goal_radius must be a positive finite number; got -1.0",
+        "sensor latency must be",
     ):
         assert sum(told in problem for problem in problems) == 1, told
-    assert len(problems) == 6
+    assert len(problems) == 9
 
 
 def test_settings_without_sense_are_told_as_such(tmp_path, capsys):
