@@ -26,6 +26,7 @@ from small_runs import tiny_config
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from torchrl.checkpoint import Checkpoint
 
+import rl.train
 from rl.background import COLLECTOR_SETTINGS, CollectorError
 from rl.checkpoints import Checkpoints, StateFile, find_damage, step_of
 from rl.cli import main
@@ -345,6 +346,32 @@ def test_an_asynchronous_run_goes_on(tmp_path, monkeypatch):
     steps = [int(row["step"]) for row in Run(settings.directory).metrics.rows()]
     assert steps == list(range(64, 513, 64))
     assert Run(settings.directory).metrics.rows()[: len(rows)] == rows
+
+
+@pytest.mark.slow
+def test_an_asynchronous_run_whose_process_is_killed_goes_on_with_another(tmp_path, monkeypatch):
+    made, make_collector, learn = [], rl.train.make_collector, Learner.update
+
+    def noted_collector(*arguments, **settings):
+        made.append(make_collector(*arguments, **settings))
+        return made[0]
+
+    def fatal_update(self, sample):
+        if self.updates == 5:
+            made[0].procs[0].kill()
+        return learn(self, sample)
+
+    monkeypatch.setattr(rl.train, "make_collector", noted_collector)
+    monkeypatch.setattr(Learner, "update", fatal_update)
+    settings = config(tmp_path / "run", collector="async")
+    said = said_by_training(settings)
+    run = Run(settings.directory)
+    warnings = (run.directory / "warnings.txt").read_text()
+    assert "the collecting process was ended by signal 9 (SIGKILL)" in warnings
+    assert "another one has taken its place (1 of at most 3)" in warnings
+    assert "another one has taken its place" in said
+    assert run.metrics.rows()[-1]["step"] == "512"
+    assert not multiprocessing.active_children()
 
 
 # Damaged
