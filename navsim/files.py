@@ -35,7 +35,11 @@ def atomic_write(path: str | os.PathLike[str], mode: str = "w", *, parents: bool
         target.parent.mkdir(parents=True, exist_ok=True)
     elif not target.parent.is_dir():
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(Path(path).parent))
-    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+    try:
+        handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+    except OSError as error:
+        error.filename = str(path)  # not the temporary file's, which nobody has asked for
+        raise
     encoding, newline = (None, None) if "b" in mode else ("utf-8", "")
     try:
         with os.fdopen(handle, mode, encoding=encoding, newline=newline) as file:
@@ -47,7 +51,7 @@ def atomic_write(path: str | os.PathLike[str], mode: str = "w", *, parents: bool
         flush_to_disk(target.parent)
     except BaseException as error:
         Path(name).unlink(missing_ok=True)
-        if isinstance(error, OSError) and error.filename is None:  # a disk that is full does not tell of what file
+        if isinstance(error, OSError) and error.errno is not None and error.filename is None:  # such as of a full disk
             error.filename = str(path)
         raise
 

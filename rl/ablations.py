@@ -313,10 +313,16 @@ def _page(finished: Sequence[dict[str, Any]], picture: Path) -> str:
         lines.append(f"| {' | '.join(cells)} |")
     lines += ["", f"![success by samples and by minutes of processor time]({picture})", "", "## Commands", ""]
     for name, runs in rows.items():
-        machines = sorted({f"{one['machine']}, torch {one['versions']['torch']}" for one in runs})
-        lines.append(f"- {name}: `{runs[0]['command']}` ({'; '.join(machines)})")
+        told = sorted({f"{one['machine']}, torch {one['versions']['torch']}, {_number_format(one)}" for one in runs})
+        lines.append(f"- {name}: `{runs[0]['command']}` ({'; '.join(told)})")
     lines += ["", "One thread each, beside other programs."]
     return "\n".join(lines) + "\n"
+
+
+def _number_format(one: dict[str, Any]) -> str:
+    """What the run's networks multiplied in, of its command: "auto" has been decided there."""
+    command = shlex.split(one["command"])
+    return command[command.index("--autocast") + 1] if "--autocast" in command else "auto"
 
 
 def _success_at(one: dict[str, Any], seconds: float) -> float | None:

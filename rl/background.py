@@ -34,6 +34,9 @@ COLLECTOR_SETTINGS = {"track_traj_ids": False, "use_buffers": False, "auto_regis
 MOST_REPLACEMENTS = 3
 """Processes that are started in place of failed ones, in one run: what fails a fourth time will fail again."""
 
+REPLACED = "another one has taken its place"
+"""Is said of each of them."""
+
 _MOST_TEXT = 60_000  # bytes; a pipe that nobody reads takes 65,536 before it blocks who writes
 
 
@@ -100,7 +103,7 @@ class PersistentCollector:
                 error = another
             else:
                 break
-        self._replaced(f"{error}\nanother one has taken its place ({self._failed} of at most {MOST_REPLACEMENTS})")
+        self._replaced(f"{error}\n{REPLACED} ({self._failed} of at most {MOST_REPLACEMENTS})")
 
     def _seed_of(self, replacement: int) -> int:
         return int(np.random.SeedSequence((self._seed, replacement)).generate_state(1)[0])

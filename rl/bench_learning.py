@@ -90,10 +90,9 @@ def _result(config: TrainConfig, console: Console) -> dict[str, Any]:
     from rl.train import train
 
     run = Run(config.directory)
-    rows = run.evaluations.rows() if run.exists else []
-    if not rows or int(rows[-1]["step"]) < config.total_steps:
+    if not (run.exists and run.has_ended):
         run = train(config, resume=run.exists, console=console)
-        rows = run.evaluations.rows()
+    rows = run.evaluations.rows()
     return {
         "steps": [int(row["step"]) for row in rows],
         "success": [float(row["success_rate"]) for row in rows],

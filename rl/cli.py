@@ -461,6 +461,8 @@ def _parse(arguments: Sequence[str], default: "TrainConfig") -> tuple["TrainConf
             except ValueError as error:
                 problems.append(str(error))
                 values[name] = getattr(default, name)
+        if problems:  # what is at odds with defaults that take the place of refused values is no problem
+            values["randomization"] = default.randomization
         try:
             config = TrainConfig(**values)
         except ConfigError as error:

@@ -14,7 +14,7 @@ from navsim.worldfile import load_world
 from navsim.worldsource import is_generated
 from rl.checkpoints import KEPT
 from rl.config import ConfigError, TrainConfig
-from rl.learner import shapes_of_weights
+from rl.learner import NO_CUDA, shapes_of_weights
 from rl.observation import NUM_FRAMES
 
 _GIB = 2**30
@@ -42,7 +42,7 @@ def obstacles(config: TrainConfig) -> Iterator[str]:
             except WorldError as error:
                 yield str(error)
     if config.device == "cuda" and not torch.cuda.is_available():
-        yield "--device cuda: PyTorch finds no such device here; use --device cpu"
+        yield NO_CUDA
     directory = config.directory.absolute()
     place = next(path for path in (directory, *directory.parents) if path.exists())
     if not place.is_dir():

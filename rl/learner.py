@@ -16,6 +16,8 @@ from rl.loss import D3QNLoss, fastest_autocast
 from rl.networks import make_q_actor
 from rl.optimiser import ClippedAdam, SoftUpdateAtOnce
 
+NO_CUDA = "--device cuda: PyTorch finds no such device here; use --device cpu"
+
 
 class Learner:
     """Network, loss, optimiser and target network of one run.
@@ -38,7 +40,7 @@ class Learner:
         self._learning: QValueActor | None = None
         if config.device != "cpu":
             if not torch.cuda.is_available():
-                raise ValueError(f"--device {config.device}: PyTorch finds no such device here; use --device cpu")
+                raise ValueError(NO_CUDA)
             self._learning = make_actor(config).to(config.device)
             self._learning.load_state_dict(self.actor.state_dict())
             self.loss = make_loss(self._learning, config)

@@ -15,8 +15,8 @@ from torch import Tensor
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 from torchrl.objectives import SoftUpdate
 
-_SMALL = 100_000
-"""Numbers in a tensor that takes a hundredth of an update to look at: any of the networks' but the streams' weights."""
+_SMALL = 200_000
+"""Numbers in a tensor that takes little time to look at: any of the networks' but the streams' weights."""
 
 
 class ClippedAdam(torch.optim.Adam):

@@ -199,6 +199,13 @@ class Run:
         return (self.directory / "config.json").is_file()
 
     @property
+    def has_ended(self) -> bool:
+        """Whether all that the settings ask for has been learnt and written."""
+        rows = self.evaluations.rows()
+        weights = self.directory / f"{POLICY_FILES['last']}.pt"
+        return bool(rows) and int(rows[-1]["step"]) >= self.config.total_steps and weights.exists()
+
+    @property
     def format(self) -> int:
         """The format of the directory, at most ``FORMAT``.
 

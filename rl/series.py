@@ -16,7 +16,7 @@ from rich.console import Console
 from navsim.errors import WorldError
 from rl.background import CollectorError
 from rl.config import ConfigError, TrainConfig
-from rl.run import Run, RunError, processor, settings_of, versions, write_json
+from rl.run import Run, RunError, settings_of, versions, write_json
 from rl.train import train
 from rl.watch import NumbersError
 
@@ -68,37 +68,47 @@ def run_series(
         place = f"[{number}/{len(planned)}] {one.name}"
         if one.results.exists():
             console.print(f"{place}: finished before", markup=False, highlight=False)
+            _forget_checkpoints(one)
             continue
         console.print(f"{place}: {one.what}", markup=False, highlight=False)
         try:
             run = train(one.config, resume=Run(one.config.directory).exists, console=console)
-            write_json(one.results, one.labels | _described(run) | results_of(run), indent=None)
-        except (CollectorError, ConfigError, NumbersError, RunError, WorldError) as error:
+            with run.claimed():
+                if not one.results.exists():  # another process may have been as far
+                    write_json(one.results, one.labels | _described(run) | results_of(run), indent=None)
+                _forget_checkpoints(one)
+        except (CollectorError, ConfigError, NumbersError, OSError, RunError, WorldError) as error:
             console.print(f"{one.name}: {error}", markup=False, highlight=False, soft_wrap=True)
             missing.append(one.name)
             continue
-        shutil.rmtree(run.directory / "checkpoints", ignore_errors=True)
         write_up()
     write_up()
     if missing:
-        raise SeriesError(f"not finished: {', '.join(missing)}; the reasons stand above, and the same command goes on")
+        raise SeriesError(f"not finished: {', '.join(missing)}; the reasons stand above")
 
 
 def _check_length(one: Planned) -> None:
     if not one.results.exists():
         return
-    steps = json.loads(one.results.read_text(encoding="utf-8"))["steps"]
+    try:
+        steps = json.loads(one.results.read_text(encoding="utf-8"))["steps"]
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{one.results} does not hold the results of a run; move it away") from error
     if steps != one.config.total_steps:
         raise ValueError(
             f"{one.results} has the results of {steps:,} steps, where {one.config.total_steps:,} are asked for; move "
-            "it away, or have the results written elsewhere (--results)"
+            "it and the run's directory away, or name others (--results, --runs)"
         )
+
+
+def _forget_checkpoints(one: Planned) -> None:
+    shutil.rmtree(one.config.directory / "checkpoints", ignore_errors=True)
 
 
 def _described(run: Run) -> dict[str, Any]:
     return {
         "steps": run.config.total_steps,
         "settings": settings_of(run.config),
-        "machine": processor(),
+        "machine": run.processor,
         "versions": versions(),
     }

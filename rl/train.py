@@ -76,6 +76,8 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
         run.check_vacant()
     check_feasible(run.with_its_worlds(config) if resume else config)
     with run.claimed():
+        if resume and run.has_ended and not Checkpoints(run.directory / "checkpoints", {}).paths():
+            return run  # of its checkpoints nothing is left, and nothing is wanted
         return _train(config, run, resume, console)
 
 

@@ -20,6 +20,8 @@ from rl.learner import Learner, name_in_network
 from rl.progress import TrainingProgress
 from rl.run import Run, writing
 
+_OF_THE_NETWORK = ("action_value", "chosen_action_value")
+"""What a collected batch holds that does not come from the simulator."""
 _DIVERGED = 2.0
 """A Q-value so many times beyond what rewards and discount allow tells of divergence, not of an error of learning."""
 _WARN_AGAIN = 10.0
@@ -39,8 +41,8 @@ class NumbersError(ArithmeticError):
 class Watch:
     """Sees to it that a run neither learns from, nor saves, numbers that are not finite.
 
-    Loss and gradient are checked in every update, before the weights change; observations and rewards in every
-    collected batch, before it is stored; weights and the optimiser's moments where they are logged, evaluated or saved.
+    Loss and gradient are checked in every update, before the weights change; all that a collected batch holds, before
+    it is stored; weights and the optimiser's moments where they are logged, evaluated or saved.
 
     Args:
         run: whose directory a batch with bad numbers is saved in.
@@ -63,17 +65,18 @@ class Watch:
         """Checks a collector's batch ``(N, T)``, which is not counted yet.
 
         Raises:
-            NumbersError: for an observation or a reward that is not finite.
+            NumbersError: for an observation, a reward or a Q-value that is not finite.
         """
         for key, values in batch.items(include_nested=True, leaves_only=True):
-            if values.is_floating_point() and not _is_finite(values):
+            if values.is_floating_point() and not _is_finite(values) and not bool(values.isfinite().all()):
                 robot, time = torch.nonzero(~values.isfinite().flatten(2).all(-1))[0].tolist()
                 value = values[robot, time][~values[robot, time].isfinite()][0].item()
                 name = key if isinstance(key, str) else key[-1]
+                of_the_simulator = "it comes from the simulator, so please report it with that file"
                 self._end(
                     f"the {name} of robot {robot} is {value}",
                     batch,
-                    "it comes from the simulator, so please report it with that file",
+                    self._learning_remedy() if name in _OF_THE_NETWORK else of_the_simulator,
                     step=self._progress.step + time * batch.shape[0] + robot + 1,
                 )
 

@@ -1,6 +1,6 @@
 """What each part of learning is worth: python scripts/ablations.py --help
 
-Trains rows that differ from the base in one thing, evaluates them in rooms they have not seen, and writes
+Trains rows that differ from a preset in what they name, evaluates them in rooms they have not seen, and writes
 docs/ablations.md. It may be interrupted at any point: what is finished is skipped, what is not goes on.
 """
 

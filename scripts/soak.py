@@ -33,6 +33,7 @@ from rich.console import Console
 
 from navsim.draw import INK, QUIET_INK, new_figure, save_figure
 from navsim.files import atomic_write
+from rl.background import REPLACED
 from rl.run import Run, processor, versions
 
 SHARED_MEMORY = Path("/dev/shm")
@@ -93,6 +94,7 @@ def watch(hours: float, directory: Path, settings: list[str], console: Console) 
     console.print(f"navsim {shlex.join(command)}", soft_wrap=True, highlight=False)
     samples: list[dict[str, float]] = []
     shared_before = set(SHARED_MEMORY.iterdir())
+    replaced_before = replacements(directory)
     reference = Reference()
     begin = time.monotonic()
     with tempfile.TemporaryFile("w+") as output:
@@ -124,7 +126,7 @@ def watch(hours: float, directory: Path, settings: list[str], console: Console) 
         "versions": versions(),
         "replay_capacity": Run(directory).config.replay_capacity,
         "evaluation_interval": Run(directory).config.eval_interval,
-        "workers_replaced": replacements(directory),
+        "workers_replaced": replacements(directory) - replaced_before,
         "processes_left": len(left),
         "shared_memory_left": abandoned(shared_before),
         "samples": {key: [sample[key] for sample in samples] for key in samples[0]},
@@ -220,7 +222,7 @@ def last_step(directory: Path) -> int:
 def replacements(directory: Path) -> int:
     """Processes that have taken a failed one's place."""
     try:
-        return (directory / "warnings.txt").read_text(encoding="utf-8").count("another one has taken its place")
+        return (directory / "warnings.txt").read_text(encoding="utf-8").count(REPLACED)
     except FileNotFoundError:
         return 0
 
@@ -314,7 +316,13 @@ def draw(measured: dict[str, Any], verdicts: dict[str, dict[str, Any]], path: Pa
     new = np.flatnonzero(np.diff(samples["step"], prepend=samples["step"][0]) > 0)
     marks = np.arange(samples["step"][new[0]], samples["step"][new[-1]] + 1, width)
     at, when = (np.interp(marks, samples["step"][new], values[new]) for values in (samples["cpu"], minutes))
-    speed.step(when[1:], width / np.diff(at), where="pre", color="#2b6cb0", lw=1.2)
+    spent = np.cumsum(np.diff(samples["cpu"], prepend=samples["cpu"][0]) / samples["reference"])
+    updates = np.interp(marks, samples["step"][new], spent[new])
+    median = np.median(np.diff(at) / np.diff(updates))  # a reference update's processor time
+    corrected = width / np.diff(updates) / median
+    speed.step(when[1:], width / np.diff(at), where="pre", color="#9aa3ad", lw=0.8, label="as it was")
+    speed.step(when[1:], corrected, where="pre", color="#2b6cb0", lw=1.2, label="beside the reference")
+    speed.legend(fontsize=7, frameon=False, loc="lower right", ncols=2, labelcolor=QUIET_INK)
     speed.set_ylim(bottom=0)
     speed.set_ylabel("transitions / s of\nprocessor time")
     speed.set_xlabel("minutes")

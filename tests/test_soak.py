@@ -12,6 +12,9 @@ import numpy as np
 import psutil
 import pytest
 
+from rl.background import CollectorError, PersistentCollector
+from rl.run import Run
+
 SCRIPT = Path(__file__).parents[1] / "scripts" / "soak.py"
 
 if not Path("/proc/self/smaps_rollup").exists():
@@ -75,6 +78,27 @@ def measured(memory=1.0, speed=1.0, files=0, machine=1.0, **left):
 )
 def test_what_is_not_flat_fails(soak, results, failed):
     assert {name for name, verdict in soak.judge(results).items() if not verdict["passed"]} == failed
+
+
+def test_replacements_are_those_that_the_run_has_noted(soak, tmp_path):
+    assert soak.replacements(tmp_path) == 0
+    told = []
+
+    class Failing:
+        procs = ()
+
+        def __iter__(self):
+            raise CollectorError("it has failed")
+
+        def shutdown(self, **_):
+            pass
+
+    with pytest.raises(CollectorError):
+        list(PersistentCollector(lambda seed, frames: Failing(), seed=0, total_frames=10, replaced=told.append))
+    run = Run(tmp_path)
+    for text in told:
+        run.note(text)
+    assert soak.replacements(tmp_path) == len(told) == 3
 
 
 def test_what_was_measured_is_judged_and_drawn_again(tmp_path):

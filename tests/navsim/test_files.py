@@ -56,6 +56,20 @@ def test_a_disk_that_is_full_tells_of_which_file(tmp_path, monkeypatch):
     assert not any(tmp_path.iterdir())
 
 
+def test_an_error_without_a_number_keeps_its_words(tmp_path):
+    with pytest.raises(OSError, match=r"^the encoder has failed$"), atomic_write(tmp_path / "file"):
+        raise OSError("the encoder has failed")
+
+
+def test_a_directory_that_takes_no_files_is_told_by_the_name_of_the_file(tmp_path, monkeypatch):
+    def refuse(**settings):
+        raise PermissionError(errno.EACCES, "Permission denied", "a temporary name")
+
+    monkeypatch.setattr("navsim.files.tempfile.mkstemp", refuse)
+    with pytest.raises(PermissionError, match=r"Permission denied: '.*picture\.png'$"):
+        write_text(tmp_path / "picture.png", "")
+
+
 def test_permissions_stay_and_new_files_have_those_of_any_other(tmp_path):
     path, other = tmp_path / "file", tmp_path / "other"
     write_text(path, "new")

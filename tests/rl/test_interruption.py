@@ -374,6 +374,15 @@ def test_an_asynchronous_run_whose_process_is_killed_goes_on_with_another(tmp_pa
     assert not multiprocessing.active_children()
 
 
+def test_a_finished_run_whose_checkpoints_were_removed_stays_as_it_is(tmp_path, uninterrupted):
+    out = tmp_path / "run"
+    shutil.copytree(uninterrupted.directory, out)
+    shutil.rmtree(out / "checkpoints")
+    before = {path: path.stat().st_mtime_ns for path in sorted(out.rglob("*")) if path.is_file()}
+    said_by_training(config(out), resume=True)
+    assert {path: path.stat().st_mtime_ns for path in sorted(out.rglob("*")) if path.is_file()} == before
+
+
 # Damaged
 
 
@@ -491,7 +500,7 @@ def test_the_last_two_checkpoints_and_the_best_are_kept(uninterrupted):
 
 
 def test_the_checkpoint_after_the_best_evaluation_is_kept(tmp_path, monkeypatch):
-    rates = iter([0.9, 0.5, 0.2, 0.1, 0.1, 0.1, 0.1, 0.1])  # every 64 transitions; checkpoints are every 128
+    rates = iter([0.9, 0.1, 0.2, 0.5, 0.1, 0.1, 0.1, 0.1])  # every 64 transitions; checkpoints are every 128
 
     def evaluate(*_):
         rate = next(rates)

@@ -96,6 +96,49 @@ def test_results_of_another_length_are_refused_before_anything_is_trained(tmp_pa
     one, other = planned(tmp_path, "one", "other")
     other.results.parent.mkdir()
     other.results.write_text(json.dumps({"steps": 5}))
-    with pytest.raises(ValueError, match=r"other\.json has the results of 5 steps, .* move it away"):
+    with pytest.raises(ValueError, match=r"other\.json has the results of 5 steps, .* move it and the run"):
         run_series([one, other], lambda run: {}, lambda: None, Console(file=io.StringIO()))
     assert not trained
+
+
+def test_results_that_cannot_be_read_are_told_before_anything_is_trained(tmp_path, trained):
+    (one,) = planned(tmp_path, "one")
+    one.results.parent.mkdir()
+    for text in ("", "[]", '{"total_steps": 512}'):
+        one.results.write_text(text)
+        with pytest.raises(ValueError, match=r"one\.json does not hold the results of a run; move it away"):
+            run_series([one], lambda run: {}, lambda: None, Console(file=io.StringIO()))
+    assert not trained
+
+
+def test_a_disk_that_is_full_when_results_are_written_does_not_end_the_others(tmp_path, trained, monkeypatch):
+    series = planned(tmp_path, "one", "other")
+    write_json = rl.series.write_json
+
+    def write(path, value, **settings):
+        if path.stem == "one":
+            raise OSError(28, "No space left on device", str(path))
+        write_json(path, value, **settings)
+
+    monkeypatch.setattr(rl.series, "write_json", write)
+    said = io.StringIO()
+    with pytest.raises(SeriesError, match="not finished: one;"):
+        run_series(series, lambda run: {}, lambda: None, Console(file=said, width=200))
+    assert "one: [Errno 28] No space left on device" in said.getvalue()
+    assert (series[0].config.directory / "checkpoints").exists()
+    assert series[1].results.exists()
+
+
+def test_what_another_process_has_finished_meanwhile_is_kept(tmp_path, trained, monkeypatch):
+    (one,) = planned(tmp_path, "one")
+    train = rl.series.train
+
+    def slow_train(config, **settings):
+        run = train(config, **settings)
+        one.results.parent.mkdir()
+        one.results.write_text('{"of": "the other"}')
+        return run
+
+    monkeypatch.setattr(rl.series, "train", slow_train)
+    run_series([one], lambda run: {}, lambda: None, Console(file=io.StringIO()))
+    assert json.loads(one.results.read_text()) == {"of": "the other"}

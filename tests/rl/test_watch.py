@@ -214,6 +214,17 @@ def test_an_observation_that_is_not_finite_is_not_stored(tmp_path, monkeypatch, 
     assert_nothing_bad_was_kept(Run.open(tmp_path / "run"), remembers=True)
 
 
+def test_a_value_that_is_not_finite_is_laid_to_the_network_and_not_to_the_simulator(tmp_path, monkeypatch):
+    spoil_after_an_update(monkeypatch, lambda learner: value_bias(learner).fill_(float("nan")))
+    message = ended_by_bad_numbers(config(tmp_path / "run", checkpoint_interval=512, log_interval=512))
+    assert re.match(r"step \d+: the (chosen_)?action_value of robot 0 is nan;", message), message
+    assert "begin anew (--out) with a smaller --learning-rate" in message
+
+
+def value_bias(learner: Learner) -> torch.Tensor:
+    return learner.actor.module[0].module.value.bias.data
+
+
 def test_the_command_ends_with_one_sentence_and_status_1(tmp_path, capfd):
     settings = ["--camera.width", "14", "--camera.height", "10", "--world", str(HALL), "--eval-world", str(HALL)]
     settings += ["--rearrangements", "0", "--total-steps", "512", "--warmup-steps", "64", "--num-threads", "1"]
