@@ -124,7 +124,7 @@ def read_ros_map(
 
 def _picture(image: Node, beside: Path) -> tuple[np.ndarray, np.ndarray | None]:
     name = image.word()
-    if "\0" in name or not name.strip():
+    if not name.isprintable() or not name.strip():
         raise image.error("must name the picture, such as map.pgm")
     file = Path(name)
     return read_image(file if file.is_absolute() else beside.parent / file)

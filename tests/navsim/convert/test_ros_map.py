@@ -206,6 +206,7 @@ def test_maps_that_cannot_be_written_are_refused(tmp_path):
     [
         ({"image": "none.pgm"}, "none.pgm: cannot be read"),
         ({"image": "room.yaml"}, "is not a picture"),
+        ({"image": '"two\\nlines.pgm"'}, "room.yaml:1: image: must name the picture, such as map.pgm"),
         ({"image": "[1, 2]"}, "room.yaml:1: image: must be text"),
         ({"resolution": -0.1}, "room.yaml:2: resolution: must be metres per cell"),
         ({"resolution": ".nan"}, "must be a finite number"),
