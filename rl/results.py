@@ -148,8 +148,8 @@ def results_page(runs: Sequence[dict[str, Any]], baselines: dict[str, Any], thes
         "## The thesis's experiment",
         "",
         "Preset `thesis`: 400,000 steps, batches of 8, squared error, one room. Intervals are of the paths that were",
-        "driven, all seeds' together, and do not tell how seeds differ. The thesis's shares are of one of its two image",
-        "sizes; of which, this project does not know.",
+        "driven, all seeds together, and do not tell how seeds differ. The thesis's shares are of one of its two",
+        "image sizes; of which, this project does not know.",
         "",
         thesis_tables.rstrip(),
     ]
