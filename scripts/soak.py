@@ -20,6 +20,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import textwrap
 import time
 from pathlib import Path
 from typing import Any
@@ -328,7 +329,7 @@ def draw(measured: dict[str, Any], verdicts: dict[str, dict[str, Any]], path: Pa
     speed.set_xlabel("minutes")
     for axes, name in ((memory, "memory"), (files, "files"), (speed, "speed")):
         axes.axvspan(0, minutes[warm][0], color="#eef1f4", lw=0)
-        axes.set_title(verdicts[name]["text"], fontsize=8, loc="left", color=INK)
+        axes.set_title(textwrap.fill(verdicts[name]["text"], 140), fontsize=8, loc="left", color=INK)
         axes.tick_params(labelsize=8, colors=QUIET_INK)
         axes.yaxis.label.set_size(8)
         axes.yaxis.set_major_formatter(EngFormatter())
