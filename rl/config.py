@@ -22,6 +22,9 @@ LEAST_WIDTH, LEAST_HEIGHT = 14, 10
 """Of images, pixels: the size of the networks' first kernel (``rl.networks``)."""
 
 
+GREATEST_MARGIN = 0.2
+"""Metres; with more, the narrowest gaps that rooms are generated with could not be passed."""
+
 PARTS: dict[str, type] = {
     "camera": DepthCamera,
     "task": Task,
@@ -88,6 +91,10 @@ class Collection:
     """Robots simulated together."""
     random_paths: bool = True
     """Whether training draws starts and goals anywhere in the room, not only where the world file lists them."""
+    margin: float = 0.0
+    """Metres by which training is stricter than evaluations: it ends where something is seen nearer than
+    --task.collision-depth and so much, and where a robot that much wider would touch something. Passing closely is then
+    learnt to be a collision before it is one."""
     rearrangements: int = 100
     """Rooms to train in beside each world file: its furniture in so many random arrangements. Generated rooms have
     none: --world says how many there are."""
@@ -215,6 +222,8 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
                 yield f"--{_flag(name)} must be positive; got {value}"
+        if not 0.0 <= self.margin <= GREATEST_MARGIN:
+            yield f"--margin must lie between 0 and {GREATEST_MARGIN} m; got {self.margin}"
         for name in ("gamma", "epsilon_start", "epsilon_end", "tau"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 yield f"--{_flag(name)} must lie between 0 and 1; got {getattr(self, name)}"
@@ -276,17 +285,24 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
                 f"--camera.width ({self.camera.width}) and --camera.height ({self.camera.height}) must be at least "
                 f"{LEAST_WIDTH} and {LEAST_HEIGHT} pixels: the networks' first kernel is that large"
             )
-        try:
-            self.task.check_camera(self.camera)
-        except ValueError as error:
-            yield str(error)
-        else:
+        if 0.0 <= self.margin <= GREATEST_MARGIN:
             try:
-                self.randomization.check(self.camera, self.task, self.sensor)
+                self.training_task.check_camera(self.camera)
+                self.randomization.check(self.camera, self.training_task, self.sensor)
             except ValueError as error:
                 yield str(error)
         if self.max_grad_norm is not None and not (math.isfinite(self.max_grad_norm) and self.max_grad_norm > 0):
             yield f"--max-grad-norm must be positive and finite, or None; got {self.max_grad_norm}"
+
+    @property
+    def training_task(self) -> Task:
+        """The rules that training goes by: ``task``, stricter by ``margin``."""
+        return dataclasses.replace(self.task, collision_depth=self.task.collision_depth + self.margin)
+
+    @property
+    def training_robot(self) -> Robot:
+        """The robot that trains: ``robot``, wider by ``margin``."""
+        return dataclasses.replace(self.robot, radius=self.robot.radius + self.margin)
 
     @property
     def learner_threads(self) -> int:

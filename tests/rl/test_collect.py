@@ -76,6 +76,28 @@ def test_the_share_of_random_actions_falls_linearly():
     assert share() < 0.06
 
 
+def test_a_margin_makes_training_stricter_and_nothing_else():
+    env = make_env(replace(CONFIG, margin=0.06))
+    assert env.simulator.task == replace(CONFIG.task, collision_depth=0.46)
+    assert env.simulator.robot == replace(CONFIG.robot, radius=CONFIG.robot.radius + 0.06)
+    assert make_env(CONFIG).simulator.task == CONFIG.task
+
+
+@pytest.mark.parametrize(("margin", "nearest"), [(0.0, 0.4), (0.1, 0.5)])
+def test_with_a_margin_a_drive_ends_that_much_earlier(tmp_path, margin, nearest):
+    """Straight at a wall, seen at depths 0.04 m apart: the last one beyond the limit is that near to it."""
+    room = tmp_path / "room.yaml"
+    room.write_text("format: 1\nname: room\nsize: [4, 4]\nstarts: [{at: [0, 0], yaw_deg: 0}]\ngoals: [[-1.5, 0]]\n")
+    env = make_env(
+        replace(CONFIG, world=(str(room),), random_paths=False, num_envs=1, steps_per_batch=32, margin=margin)
+    )
+    depths, state = [], env.reset()
+    while not (depths and state["terminated"].item()):
+        state = env.step(state.set("action", torch.tensor([4])))["next"]
+        depths.append(state["depth"][0, -1].min().item() * CAMERA.max_range / 255.0)
+    assert depths[-1] < nearest <= depths[-2] + 0.01 < nearest + 0.06  # depths are multiples of 0.02 m
+
+
 def test_each_robot_may_end_at_a_share_of_its_own():
     config = replace(CONFIG, epsilon_end=0.8, epsilon_least=0.0008)
     env = make_env(config)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -93,6 +94,13 @@ def test_every_setting_belongs_to_one_group_of_the_help():
         ({"learning_rate": float("nan")}, "--learning-rate must be positive"),
         ({"gamma": 1.5}, "--gamma must lie between 0 and 1"),
         ({"seed": -1}, "--seed must not be negative"),
+        ({"margin": -0.01}, "--margin must lie between 0 and 0.2 m; got -0.01"),
+        ({"margin": 0.3}, "--margin must lie between 0 and 0.2 m; got 0.3"),
+        ({"margin": math.nan}, "--margin must lie between 0 and 0.2 m; got nan"),
+        (
+            {"margin": 0.15, "camera": DepthCamera(pitch_deg=10.0)},
+            "nearer than the task's collision_depth of 0.55 m",
+        ),
         ({"world": ()}, "--world needs at least one"),
         ({"epsilon_start": 0.01, "epsilon_end": 0.02, "epsilon_least": None}, "--epsilon-end (0.02) must not exceed"),
         ({"epsilon_end": 0.1, "epsilon_least": 0.2}, "--epsilon-least (0.2) must lie between"),
