@@ -56,28 +56,28 @@ which stand with the commands. `scripts/ablations.py` trains, evaluates and writ
 
 def _rooms(count: int = 400, densities: Sequence[float] = (DENSITY,)) -> dict[str, Any]:
     each = count // len(densities)
-    return {"world": tuple(f"generate:clutter,density={density},count={each}" for density in densities)}
+    world = tuple(f"generate:clutter,density={density},count={each}" for density in densities)
+    return {"world": world, "rearrangements": 100}  # of which generated rooms have none
+
+
+def _only_world(**rooms: Any) -> dict[str, Any]:
+    """The same for what has these rearrangements already."""
+    return {"world": _rooms(**rooms)["world"]}
 
 
 BASE: dict[str, Any] = {"num_threads": 1, "report": False}
 """What all rows share, in place of their presets' settings."""
 
+_FURNISHED: dict[str, Any] = {key: getattr(PRESETS["memoryless"], key) for key in ("world", "rearrangements")}
 _TWICE_AS_LONG = {"total_steps": 200_000, "eval_interval": 25_000}
-_MORE_STEPS = {"total_steps": 400_000, "steps_per_update": 16.0, "epsilon_steps": 50_000, "eval_interval": 50_000}
+_PLAIN_LENGTH = {**_TWICE_AS_LONG, "steps_per_update": 8.0, "epsilon_steps": 25_000}
+_PLAIN_RETURNS: dict[str, Any] = {"n_step": 5, "epsilon_end": 0.3}
+_PLAIN_ROOMS: dict[str, Any] = {"margin": 0.0, **_rooms()}
+_PLAIN: dict[str, Any] = {**_PLAIN_LENGTH, **_PLAIN_RETURNS, **_PLAIN_ROOMS}
+"""What preset ``memoryless`` was before it learnt with a margin, longer returns, other rooms and more of them."""
+_PLAINLY = "five-step returns, no margin, 200,000 steps, an update every 8, in 400 generated rooms"
 _MIXED = _rooms(densities=[DENSITY, 0.17])
-_FAR: dict[str, Any] = {"n_step": 12, "epsilon_end": 0.1}
-"""What a robot runs into has left its view up to 17 steps before: returns that reach as far need no value in between,
-which cannot tell what is out of view from what is not there. They must not be full of random actions."""
-_FURNISHED: dict[str, Any] = {
-    **_MORE_STEPS,
-    **_FAR,
-    "world": (*_rooms(200, [DENSITY, 0.17])["world"], "complex_train"),
-    "rearrangements": 200,
-}
-_OF_FURNISHED = (
-    "400,000 steps, an update every 16; in rooms of density 0.11 and 0.17 and in as many rearrangements of "
-    "complex_train; twelve-step returns, fewer random actions"
-)
+_LONGER_MIXED = "five-step returns, no margin, in generated rooms alone"
 
 
 class Row(NamedTuple):
@@ -99,7 +99,7 @@ class Row(NamedTuple):
 
 
 ROWS: dict[str, Row] = {
-    "base": Row("preset memoryless, D3QN-I, in 400 generated rooms", {}),
+    "base": Row("preset memoryless, D3QN-I", {}),
     "S": Row("D3QN-S", {"model": "S"}),
     "fast": Row("preset fast: sees depth inverted, its command, and what it remembers around it", {}, "fast"),
     "S-fast": Row("preset fast, D3QN-S", {"model": "S"}, "fast"),
@@ -108,7 +108,17 @@ ROWS: dict[str, Row] = {
     "fast-linear": Row("preset fast, sees depth as it is", {"depth_scale": "linear"}, "fast"),
     "fast-no-memory": Row("preset fast without the memory", {"inputs": ("depth", "heading", "command")}, "fast"),
     "fast-no-command": Row("preset fast without its command", {"inputs": ("depth", "heading", "surroundings")}, "fast"),
-    "fast-12-steps": Row("preset fast, twelve-step returns, fewer random actions", _FAR, "fast"),
+    "fast-12-steps": Row(
+        "preset fast, twelve-step returns, fewer random actions", {"n_step": 12, "epsilon_end": 0.1}, "fast"
+    ),
+    "fast-margin": Row("preset fast, 0.1 m stricter", {"margin": 0.1}, "fast"),
+    "fast-stricter": Row(
+        "preset fast, 0.1 m stricter, in the rooms of preset memoryless", {"margin": 0.1, **_FURNISHED}, "fast"
+    ),
+    "fast-denser": Row("preset fast, in rooms of density 0.17", _only_world(densities=[0.17]), "fast"),
+    "S-fast-denser": Row(
+        "preset fast, D3QN-S, in rooms of density 0.17", {"model": "S", **_only_world(densities=[0.17])}, "fast"
+    ),
     "S-fast-glorot": Row(
         "preset fast, D3QN-S, weights for the heading begin as all others",
         {"model": "S", "heading_init": "glorot"},
@@ -117,57 +127,27 @@ ROWS: dict[str, Row] = {
     "S-glorot": Row("D3QN-S, weights for the heading begin as all others", {"model": "S", "heading_init": "glorot"}),
     "inverse": Row("sees depth inverted", {"depth_scale": "inverse"}),
     "S-inverse": Row("D3QN-S, sees depth inverted", {"model": "S", "depth_scale": "inverse"}),
-    "12-steps": Row("twelve-step returns, fewer random actions", _FAR),
-    "S-12-steps": Row("D3QN-S, twelve-step returns, fewer random actions", {"model": "S", **_FAR}),
-    "inverse-12-steps": Row(
-        "sees depth inverted; twelve-step returns, fewer random actions", {"depth_scale": "inverse", **_FAR}
-    ),
-    "S-inverse-12-steps": Row(
-        "D3QN-S, sees depth inverted; twelve-step returns, fewer random actions",
-        {"model": "S", "depth_scale": "inverse", **_FAR},
-    ),
     "command": Row("sees its command (v, ω), too", {"inputs": ("depth", "heading", "command")}),
     "apart": Row("images three steps apart", {"frame_interval": 3}),
     "command-apart": Row(
         "sees its command, and images three steps apart",
         {"inputs": ("depth", "heading", "command"), "frame_interval": 3},
     ),
-    "S-command-apart": Row(
-        "D3QN-S, sees its command, and images three steps apart",
-        {"model": "S", "inputs": ("depth", "heading", "command"), "frame_interval": 3},
-    ),
     "depth-only": Row("sees no heading", {"inputs": ("depth",)}),
     "blind": Row("sees no images", {"inputs": ("heading",)}),
+    "no-margin": Row("with the rules of evaluations", {"margin": 0.0}),
+    "margin-0.06": Row("0.06 m stricter, not 0.1", {"margin": 0.06}),
+    "S-margin-0.06": Row("D3QN-S, 0.06 m stricter, not 0.1", {"model": "S", "margin": 0.06}),
+    "generated-rooms": Row("in generated rooms alone", _MIXED),
     "one-room": Row("in one room, complex_train", {"world": ("complex_train",), "rearrangements": 0}),
-    "rearranged": Row("in complex_train and 100 rearrangements of it", {"world": ("complex_train",)}),
-    "denser": Row("in rooms of density 0.17", _rooms(densities=[0.17])),
-    "S-denser": Row("D3QN-S, in rooms of density 0.17", {"model": "S", **_rooms(densities=[0.17])}),
-    "fast-denser": Row("preset fast, in rooms of density 0.17", _rooms(densities=[0.17]), "fast"),
-    "S-fast-denser": Row(
-        "preset fast, D3QN-S, in rooms of density 0.17", {"model": "S", **_rooms(densities=[0.17])}, "fast"
-    ),
-    "longer-mixed": Row(
-        "400,000 steps, an update every 16, in rooms of density 0.11 and 0.17", {**_MORE_STEPS, **_MIXED}
-    ),
-    "S-longer-mixed": Row(
-        "D3QN-S, 400,000 steps, an update every 16, in rooms of density 0.11 and 0.17",
-        {"model": "S", **_MORE_STEPS, **_MIXED},
-    ),
-    "margin": Row(
-        "400,000 steps, an update every 16, in rooms of density 0.11 and 0.17, 0.06 m stricter",
-        {**_MORE_STEPS, **_MIXED, "margin": 0.06},
-    ),
-    "furnished": Row(f"{_OF_FURNISHED}, 0.06 m stricter", {**_FURNISHED, "margin": 0.06}),
-    "S-furnished": Row(f"D3QN-S, {_OF_FURNISHED}, 0.06 m stricter", {"model": "S", **_FURNISHED, "margin": 0.06}),
-    "stricter": Row(f"{_OF_FURNISHED}, 0.1 m stricter", {**_FURNISHED, "margin": 0.1}),
-    "S-stricter": Row(f"D3QN-S, {_OF_FURNISHED}, 0.1 m stricter", {"model": "S", **_FURNISHED, "margin": 0.1}),
-    "fast-margin": Row("preset fast, 0.06 m stricter", {"margin": 0.06}, "fast"),
-    "rooms-50": Row("in 50 generated rooms", _rooms(50)),
-    "rooms-2000": Row("in 2,000 generated rooms", _rooms(2000)),
+    "rearranged": Row("in complex_train and 200 rearrangements of it", {"world": ("complex_train",)}),
+    "rooms-50": Row("in 50 generated rooms", _rooms(50, [DENSITY, 0.17])),
+    "rooms-2000": Row("in 2,000 generated rooms", _rooms(2000, [DENSITY, 0.17])),
     "squared-error": Row("mean squared error instead of a categorical loss", {"loss_function": "l2"}),
     "huber": Row("Huber's loss instead of a categorical one", {"loss_function": "smooth_l1"}),
     "n-step-1": Row("one-step returns", {"n_step": 1}),
-    "n-step-3": Row("three-step returns", {"n_step": 3}),
+    "n-step-5": Row("five-step returns, more random actions", _PLAIN_RETURNS),
+    "n-step-20": Row("twenty-step returns", {"n_step": 20}),
     "not-mirrored": Row("no mirrored samples", {"mirror": False}),
     "same-epsilon": Row(
         "the same share of random actions for all robots", {"epsilon_least": None, "epsilon_end": 0.05}
@@ -176,17 +156,33 @@ ROWS: dict[str, Row] = {
     "prioritized": Row("prioritised replay", {"prioritized": True}),
     "gamma-0.95": Row("a discount of 0.95", {"gamma": 0.95, "greatest_return": 1.8}),
     "gamma-0.99": Row("a discount of 0.99", {"gamma": 0.99, "greatest_return": 5.0}),
-    "twice-the-samples": Row("an update every 4 steps", {"steps_per_update": 4.0}),
-    "half-the-samples": Row("an update every 16 steps", {"steps_per_update": 16.0}),
-    "half-as-long": Row("100,000 steps", {"total_steps": 100_000, "eval_interval": 12_500}),
-    "twice-the-steps": Row("400,000 steps, an update every 16", _MORE_STEPS),
-    "S-twice-the-steps": Row("D3QN-S, 400,000 steps, an update every 16", {"model": "S", **_MORE_STEPS}),
-    "four-times-the-steps": Row(
+    "twice-the-samples": Row("an update every 8 steps", {"steps_per_update": 8.0}),
+    "half-the-samples": Row("an update every 32 steps", {"steps_per_update": 32.0}),
+    "half-as-long": Row("200,000 steps", _TWICE_AS_LONG),
+    "twice-the-steps": Row(
         "800,000 steps, an update every 32",
         {"total_steps": 800_000, "steps_per_update": 32.0, "epsilon_steps": 100_000, "eval_interval": 100_000},
     ),
-    "batch-128": Row("batches of 128, an update every 16 steps", {"batch_size": 128, "steps_per_update": 16.0}),
+    "batch-128": Row("batches of 128, an update every 32 steps", {"batch_size": 128, "steps_per_update": 32.0}),
     "64-robots": Row("64 robots", {"num_envs": 64}),
+    "plain": Row(_PLAINLY, _PLAIN),
+    "S-plain": Row(f"D3QN-S, {_PLAINLY}", {"model": "S", **_PLAIN}),
+    "S-plain-denser": Row(
+        f"D3QN-S, {_PLAINLY}, which have density 0.17", {"model": "S", **_PLAIN, **_rooms(densities=[0.17])}
+    ),
+    "plain-inverse-12-steps": Row(
+        f"sees depth inverted; {_PLAINLY}, but twelve-step returns",
+        {"depth_scale": "inverse", **_PLAIN_LENGTH, **_PLAIN_ROOMS},
+    ),
+    "plain-command-apart": Row(
+        f"sees its command, and images three steps apart; {_PLAINLY}",
+        {"inputs": ("depth", "heading", "command"), "frame_interval": 3, **_PLAIN},
+    ),
+    "plain-longer-mixed": Row(_LONGER_MIXED, {"margin": 0.0, **_PLAIN_RETURNS, **_MIXED}),
+    "S-plain-longer-mixed": Row(f"D3QN-S, {_LONGER_MIXED}", {"model": "S", "margin": 0.0, **_PLAIN_RETURNS, **_MIXED}),
+    "plain-longer-mixed-margin": Row(
+        f"{_LONGER_MIXED}, but 0.06 m stricter", {"margin": 0.06, **_PLAIN_RETURNS, **_MIXED}
+    ),
 }
 """The base first; then what the robot sees, where it learns, and how."""
 

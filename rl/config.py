@@ -25,6 +25,9 @@ LEAST_WIDTH, LEAST_HEIGHT = 14, 10
 GREATEST_MARGIN = 0.2
 """Metres; with more, the narrowest gaps that rooms are generated with could not be passed."""
 
+_BEFORE = {"margin": 0.0}
+"""Settings that came later, as all runs from before them had it, where that is not the default."""
+
 PARTS: dict[str, type] = {
     "camera": DepthCamera,
     "task": Task,
@@ -69,13 +72,17 @@ class Experiment:
     heading_init: HeadingInit = "spread"
     """How D3QN-S's weights for the heading begin: "spread", so that it matters from the first update on, or "glorot",
     as all other weights do."""
-    world: tuple[str, ...] = ("generate:clutter,density=0.11,count=400",)
+    world: tuple[str, ...] = (
+        "generate:clutter,density=0.11,count=100",
+        "generate:clutter,density=0.17,count=100",
+        "complex_train",
+    )
     """Generated rooms to train in, so many of a kind, or world files, or names of shipped worlds such as
     "complex_train"; with several worlds, each episode draws one."""
     eval_world: str = "complex_eval"
     """World file, name of a shipped world, or generated rooms, that evaluations use. Nothing is trained there unless
     --world names it, too."""
-    total_steps: int = 200_000
+    total_steps: int = 400_000
     """Environment steps (transitions) to collect in all; one is 0.2 s of one robot."""
     seed: int = 0
     """Seed of everything random. Same seed, machine and versions: the same run."""
@@ -91,16 +98,16 @@ class Collection:
     """Robots simulated together."""
     random_paths: bool = True
     """Whether training draws starts and goals anywhere in the room, not only where the world file lists them."""
-    margin: float = 0.0
+    margin: float = 0.1
     """Metres by which training is stricter than evaluations: it ends where something is seen nearer than
     --task.collision-depth and so much, and where a robot that much wider would touch something. Passing closely is then
     learnt to be a collision before it is one."""
-    rearrangements: int = 100
+    rearrangements: int = 200
     """Rooms to train in beside each world file: its furniture in so many random arrangements. Generated rooms have
     none: --world says how many there are."""
     steps_per_batch: int = 64
     """Transitions collected between two visits to the learner, all robots together."""
-    steps_per_update: float = 8.0
+    steps_per_update: float = 16.0
     """Transitions collected for each gradient step."""
     warmup_steps: int = 5_000
     """Transitions collected before the first gradient step."""
@@ -119,11 +126,11 @@ class Exploration:
 
     epsilon_start: float = 1.0
     """Share of random actions at the beginning."""
-    epsilon_end: float = 0.3
+    epsilon_end: float = 0.1
     """Share of random actions at the end of the descent."""
     epsilon_least: float | None = 0.001
     """Least share at the end, where robots differ: spread by equal factors from here to --epsilon-end. None: alike."""
-    epsilon_steps: int = 25_000
+    epsilon_steps: int = 50_000
     """Transitions over which the share of random actions falls linearly."""
 
 
@@ -133,8 +140,10 @@ class Learning:
 
     gamma: float = 0.97
     """Discount of a reward one step later."""
-    n_step: int = 5
-    """Rewards summed before the value of the state reached is added."""
+    n_step: int = 12
+    """Rewards summed before the value of the state reached is added. What a robot without a memory runs into has left
+    its view seconds before: returns that reach as far need no value in between, which could not tell that it is there.
+    """
     batch_size: int = 64
     """Transitions a gradient step learns from."""
     replay_capacity: int = 100_000
@@ -175,7 +184,7 @@ class Learning:
 class Records:
     """What is kept of a run, and how often."""
 
-    eval_interval: int = 25_000
+    eval_interval: int = 50_000
     """Transitions between two evaluations; the best one's weights are kept."""
     log_interval: int = 4_000
     """Transitions between two rows of the log."""
@@ -325,12 +334,12 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> TrainConfig:
-        """The inverse of ``to_dict``.
+        """The inverse of ``to_dict``, also of what earlier versions wrote.
 
         Raises:
             ConfigError: for keys that are not settings, or values that cannot be used.
         """
-        values = dict(values)
+        values = _BEFORE | values
         unknown = sorted(set(values) - {setting.name for setting in dataclasses.fields(cls)})
         if unknown:
             raise ConfigError(f"unknown settings: {', '.join(unknown)}; was this written by another version?")
@@ -365,7 +374,14 @@ PRESETS: dict[str, TrainConfig] = {
         preset="fast",
         inputs=("depth", "heading", "command", "surroundings"),
         depth_scale="inverse",
+        world=("generate:clutter,density=0.11,count=400",),
         total_steps=100_000,
+        margin=0.0,
+        rearrangements=100,
+        steps_per_update=8.0,
+        epsilon_end=0.3,
+        epsilon_steps=25_000,
+        n_step=5,
         eval_interval=12_500,
         checkpoint_interval=25_000,
     ),
@@ -375,9 +391,9 @@ PRESETS: dict[str, TrainConfig] = {
         preset="thesis",
         heading_init="glorot",
         world=("complex_train",),
-        total_steps=400_000,
         num_envs=8,
         random_paths=False,
+        margin=0.0,
         rearrangements=0,
         steps_per_batch=8,
         steps_per_update=1.0,
@@ -394,6 +410,6 @@ PRESETS: dict[str, TrainConfig] = {
         tau=0.001,
         epsilon_end=0.01,
         epsilon_least=None,
-        epsilon_steps=50_000,
+        eval_interval=25_000,
     ),
 }

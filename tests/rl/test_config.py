@@ -38,14 +38,16 @@ def test_thesis_preset_holds_the_numbers_of_section_5_3():
     assert (thesis.mirror, thesis.prioritized, thesis.random_paths) == (False, False, False)
 
 
-def test_fast_is_the_default_and_differs_from_memoryless_in_what_the_robot_sees_and_how_long_it_learns():
-    fast, memoryless = (PRESETS[name].to_dict() for name in (DEFAULT_PRESET, "memoryless"))
-    assert {name for name, value in fast.items() if value != memoryless[name]} == {
-        *("preset", "inputs", "depth_scale", "total_steps", "eval_interval", "checkpoint_interval")
-    }
-    assert (fast["inputs"], fast["depth_scale"]) == (["depth", "heading", "command", "surroundings"], "inverse")
-    assert (fast["total_steps"], memoryless["total_steps"]) == (100_000, 200_000)
-    assert memoryless["inputs"] == ["depth", "heading"]
+def test_fast_is_the_default_and_sees_more_and_learns_shorter_than_memoryless():
+    fast, memoryless = PRESETS[DEFAULT_PRESET], PRESETS["memoryless"]
+    assert fast.preset == "fast"
+    assert (fast.inputs, fast.depth_scale) == (("depth", "heading", "command", "surroundings"), "inverse")
+    assert (memoryless.inputs, memoryless.depth_scale) == (("depth", "heading"), "linear")
+    assert fast.total_steps < memoryless.total_steps
+    updates = [config.total_steps / config.steps_per_update for config in (fast, memoryless)]
+    assert updates[0] < updates[1]
+    for name in ("gamma", "batch_size", "mirror", "learning_rate", "loss_function", "tau", "epsilon_least"):
+        assert getattr(fast, name) == getattr(memoryless, name)
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -71,6 +73,12 @@ def test_a_preset_bears_its_own_name(name):
 )
 def test_settings_survive_json(config):
     assert TrainConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
+
+
+def test_runs_from_before_there_was_a_margin_had_none():
+    written = {name: value for name, value in PRESETS["memoryless"].to_dict().items() if name != "margin"}
+    assert PRESETS["memoryless"].margin > 0.0
+    assert TrainConfig.from_dict(written) == replace(PRESETS["memoryless"], margin=0.0)
 
 
 def test_every_setting_belongs_to_one_group_of_the_help():
