@@ -284,6 +284,11 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
                 f"--warmup-steps ({self.warmup_steps}) must lie between --batch-size ({self.batch_size}) and "
                 f"--replay-capacity ({self.replay_capacity})"
             )
+        if self.batch_size <= self.warmup_steps < self.n_step * self.num_envs:
+            yield (
+                f"--warmup-steps ({self.warmup_steps}) must be at least --n-step ({self.n_step}) times --num-envs "
+                f"({self.num_envs}): so long it takes until a robot's first return is known"
+            )
         if self.warmup_steps >= self.total_steps:
             yield (
                 f"--total-steps ({self.total_steps}) must exceed --warmup-steps ({self.warmup_steps}): "

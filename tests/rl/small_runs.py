@@ -24,6 +24,7 @@ def small_config(out: Path, **settings: Any) -> TrainConfig:
         num_envs=4,
         steps_per_batch=32,
         warmup_steps=128,
+        n_step=5,
         batch_size=16,
         steps_per_update=16,
         replay_capacity=512,

@@ -38,6 +38,7 @@ CONFIG = replace(
     num_envs=4,
     steps_per_batch=32,
     epsilon_steps=320,
+    margin=0.0,
     rearrangements=0,
     epsilon_end=0.02,
     epsilon_least=None,

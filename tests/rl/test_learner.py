@@ -15,7 +15,13 @@ from rl.config import PRESETS
 from rl.learner import Learner, make_actor
 from rl.optimiser import SoftUpdateAtOnce
 
-CONFIG = replace(PRESETS["memoryless"], camera=DepthCamera(width=20, height=12), total_steps=1_000, warmup_steps=200)
+CONFIG = replace(
+    PRESETS["memoryless"],
+    camera=DepthCamera(width=20, height=12),
+    total_steps=1_000,
+    warmup_steps=200,
+    steps_per_update=8.0,
+)
 
 
 def sample(seed: int = 0, batch_size: int = 16) -> TensorDict:
