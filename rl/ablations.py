@@ -115,6 +115,11 @@ ROWS: dict[str, Row] = {
     "fast-stricter": Row(
         "preset fast, 0.1 m stricter, in the rooms of preset memoryless", {"margin": 0.1, **_FURNISHED}, "fast"
     ),
+    "S-fast-stricter": Row(
+        "preset fast, D3QN-S, 0.1 m stricter, in the rooms of preset memoryless",
+        {"model": "S", "margin": 0.1, **_FURNISHED},
+        "fast",
+    ),
     "fast-denser": Row("preset fast, in rooms of density 0.17", _only_world(densities=[0.17]), "fast"),
     "S-fast-denser": Row(
         "preset fast, D3QN-S, in rooms of density 0.17", {"model": "S", **_only_world(densities=[0.17])}, "fast"
