@@ -284,10 +284,10 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
                 f"--warmup-steps ({self.warmup_steps}) must lie between --batch-size ({self.batch_size}) and "
                 f"--replay-capacity ({self.replay_capacity})"
             )
-        if self.batch_size <= self.warmup_steps < self.n_step * self.num_envs:
+        if self.batch_size <= self.warmup_steps and self._first_update <= self.n_step * self.num_envs:
             yield (
-                f"--warmup-steps ({self.warmup_steps}) must be at least --n-step ({self.n_step}) times --num-envs "
-                f"({self.num_envs}): so long it takes until a robot's first return is known"
+                f"--warmup-steps ({self.warmup_steps}) is too short: it takes more than --n-step ({self.n_step}) "
+                f"times --num-envs ({self.num_envs}) transitions until a return is known that can be learnt from"
             )
         if self.warmup_steps >= self.total_steps:
             yield (
@@ -307,6 +307,13 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
                 yield str(error)
         if self.max_grad_norm is not None and not (math.isfinite(self.max_grad_norm) and self.max_grad_norm > 0):
             yield f"--max-grad-norm must be positive and finite, or None; got {self.max_grad_norm}"
+
+    @property
+    def _first_update(self) -> float:
+        """Transitions collected before it, in whole batches."""
+        if not (self.steps_per_batch > 0 and math.isfinite(self.steps_per_update)):
+            return math.inf  # which is told for itself
+        return self.steps_per_batch * math.ceil((self.warmup_steps + self.steps_per_update) / self.steps_per_batch)
 
     @property
     def training_task(self) -> Task:

@@ -118,8 +118,8 @@ def test_every_setting_belongs_to_one_group_of_the_help():
         ({"batch_size": 60, "replay_capacity": 50}, "--batch-size (60) must not exceed --replay-capacity (50)"),
         ({"warmup_steps": 10, "batch_size": 64}, "--warmup-steps (10) must lie between --batch-size (64)"),
         (
-            {"n_step": 9, "num_envs": 16, "steps_per_batch": 16, "warmup_steps": 143},
-            "--warmup-steps (143) must be at least --n-step (9) times --num-envs (16)",
+            {"n_step": 12, "num_envs": 16, "steps_per_batch": 16, "warmup_steps": 143},
+            "--warmup-steps (143) is too short: it takes more than --n-step (12) times --num-envs (16) transitions",
         ),
         ({"total_steps": 4_000, "warmup_steps": 5_000}, "--total-steps (4000) must exceed --warmup-steps (5000)"),
         (
