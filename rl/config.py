@@ -23,7 +23,8 @@ LEAST_WIDTH, LEAST_HEIGHT = 14, 10
 
 
 GREATEST_MARGIN = 0.2
-"""Metres; with more, the narrowest gaps that rooms are generated with could not be passed."""
+"""Metres. Gaps in generated rooms are 1 m wide, and the depth rule makes a robot that turns effectively 0.8 m wide, or
+1.2 m with this margin: with more, there would be little left to train in."""
 
 _BEFORE = {"margin": 0.0}
 """Settings that came later, as all runs from before them had it, where that is not the default."""
@@ -57,7 +58,8 @@ class Experiment:
 
     preset: Literal["fast", "memoryless", "thesis"] = "memoryless"
     """Where the other settings start from: "fast" reaches most goals soonest, with a robot that remembers what it has
-    passed; "memoryless" learns in the same way, from the thesis's inputs alone; "thesis" is Weideman's experiment."""
+    passed; "memoryless" learns longer and more cautiously, from the thesis's inputs alone; "thesis" is Weideman's
+    experiment."""
     model: Model = "I"
     """How the network gets the heading: "I" as a fifth image plane, "S" as a scalar beside the image's features."""
     inputs: tuple[Input, ...] = ("depth", "heading")
@@ -100,8 +102,8 @@ class Collection:
     """Whether training draws starts and goals anywhere in the room, not only where the world file lists them."""
     margin: float = 0.1
     """Metres by which training is stricter than evaluations: it ends where something is seen nearer than
-    --task.collision-depth and so much, and where a robot that much wider would touch something. Passing closely is then
-    learnt to be a collision before it is one."""
+    --task.collision-depth and so much, and where a robot with that much more radius would touch something. So robots
+    learn to keep away from what has left their view. Shares of success in the log are by the stricter rules."""
     rearrangements: int = 200
     """Rooms to train in beside each world file: its furniture in so many random arrangements. Generated rooms have
     none: --world says how many there are."""
