@@ -238,12 +238,14 @@ def run(
 
 def _results_of(trained: Run, console: Console) -> dict[str, Any]:
     """A finished run's curves, and what its last weights do in rooms that it has not seen."""
-    config, actor = trained.config, load_policy(trained.directory, weights="last")
-    final = {
-        place: rates_of(evaluate_as_trained(actor, config, world, num_paths=paths, console=console))
-        for place, (world, paths) in PLACES.items()
-    }
-    rows = trained.evaluations.rows()
+    config, rows = trained.config, trained.evaluations.rows()
+    final, symmetric = (
+        {
+            place: rates_of(evaluate_as_trained(actor, config, world, num_paths=paths, console=console))
+            for place, (world, paths) in PLACES.items()
+        }
+        for actor in (load_policy(trained.directory, weights="last", symmetric=made) for made in (False, True))
+    )
     return {
         "command": f"navsim train {shlex.join(arguments_of(config))}",
         "curve": {
@@ -251,6 +253,7 @@ def _results_of(trained: Run, console: Console) -> dict[str, Any]:
             for key in ("step", "seconds", "processor_seconds", "success_rate", "spl")
         },
         "final": final,
+        "symmetric": symmetric,
     }
 
 
@@ -331,12 +334,39 @@ def _page(finished: Sequence[dict[str, Any]], picture: Path) -> str:
         cells.append(f"{100 * statistics.fmean(early):.0f}" if early else "–")
         cells.append(f"{statistics.fmean(one['curve']['processor_seconds'][-1] for one in runs) / 60:.0f}")
         lines.append(f"| {' | '.join(cells)} |")
-    lines += ["", f"![success by samples and by minutes of processor time]({picture})", "", "## Commands", ""]
+    lines += ["", *_symmetric_table(rows)]
+    lines += [f"![success by samples and by minutes of processor time]({picture})", "", "## Commands", ""]
     for name, runs in rows.items():
         told = sorted({f"{one['machine']}, torch {one['versions']['torch']}, {_number_format(one)}" for one in runs})
         lines.append(f"- {name}: `{runs[0]['command']}` ({'; '.join(told)})")
     lines += ["", "One thread each, beside other programs."]
     return "\n".join(lines) + "\n"
+
+
+def _symmetric_table(rows: dict[str, list[dict[str, Any]]]) -> list[str]:
+    """What the same weights do as symmetric policies, of the runs of which that is known."""
+    lines = []
+    for name, all_runs in rows.items():
+        runs = [one for one in all_runs if "symmetric" in one]
+        if not runs:
+            continue
+        cells = [name, str(len(runs))]
+        for place, digits in ((COMPLEX, 0), (UNSEEN, 1)):
+            alone, mean = ([100 * one[kind][place]["success_rate"] for one in runs] for kind in ("final", "symmetric"))
+            pairs = ", ".join(f"{a:.{digits}f} → {b:.{digits}f}" for a, b in zip(alone, mean, strict=True))
+            cells += [f"{statistics.fmean(alone):.1f} → {statistics.fmean(mean):.1f}", pairs]
+        lines.append(f"| {' | '.join(cells)} |")
+    if not lines:
+        return []
+    return [
+        "The same weights as symmetric policies, which go by the mean of the network's values for what it sees and for",
+        "the mirror image of that (`navsim evaluate RUN --weights last --symmetric`):",
+        "",
+        "| | seeds | `complex_eval`, % | each seed | unseen rooms, % | each seed |",
+        "|---|---|---|---|---|---|",
+        *lines,
+        "",
+    ]
 
 
 def _number_format(one: dict[str, Any]) -> str:

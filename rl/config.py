@@ -74,6 +74,9 @@ class Experiment:
     heading_init: HeadingInit = "spread"
     """How D3QN-S's weights for the heading begin: "spread", so that it matters from the first update on, or "glorot",
     as all other weights do."""
+    symmetric: bool = False
+    """Whether the policy goes by the mean of the network's values for what it sees and for the mirror image of that
+    (left and right swapped), each turn's with that of the turn the other way. Network and loss are the same."""
     world: tuple[str, ...] = (
         "generate:clutter,density=0.11,count=100",
         "generate:clutter,density=0.17,count=100",

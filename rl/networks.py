@@ -43,6 +43,7 @@ from torchrl.modules import QValueActor
 
 from navsim.robot import ACTIONS, NUM_ACTIONS
 from rl.convolution import Geometry, convolve, convolve_bytes
+from rl.mirror import mirrored
 from rl.observation import (
     DEPTH_AND_HEADING,
     NEAREST,
@@ -139,6 +140,9 @@ class D3QN(nn.Module):
         depth_scale: what becomes of a depth d between 0 and 1, of the greatest: ``"linear"``, d itself, or
             ``"inverse"``, 0.08 / max(d, 0.08). It is no weight, and a state dict does not tell it.
         heading_init: how D3QN-S's weights for the heading begin; D3QN-I has none of its own.
+        symmetric: whether calling it gives the mean of the values for what it sees and for the mirror image of that,
+            each action's with the mirrored one's, so that what it does in a mirrored world is the mirrored action. No
+            weight either; what losses learn are the values of what is seen.
 
     Attributes:
         conv1, conv2, conv3: the convolutions; the fifth input channel of D3QN-I's ``conv1`` is the heading's.
@@ -171,6 +175,7 @@ class D3QN(nn.Module):
         depth_scale: DepthScale = "linear",
         *,
         heading_init: HeadingInit = "spread",
+        symmetric: bool = False,
     ) -> None:
         super().__init__()
         if model not in get_args(Model):
@@ -192,6 +197,7 @@ class D3QN(nn.Module):
         self.inputs = frozenset(inputs)
         self.depth_scale = depth_scale
         self.heading_init = heading_init
+        self.symmetric = symmetric
         self.image_shape = (NUM_FRAMES, height, width)
 
         channels, size = NUM_FRAMES + (model == "I"), (height, width)
@@ -259,7 +265,12 @@ class D3QN(nn.Module):
         Raises:
             ValueError: for images of another size, or if there is more or less than the network sees.
         """
-        return self.head(self.hidden(depth, heading, *others)).reshape(*depth.shape[:-3], NUM_ACTIONS)
+        observation: tuple[Tensor, ...] = (depth, heading, *others)
+        if self.symmetric:
+            named = self._named(observation)
+            observation = tuple(torch.stack([seen, mirrored(key, seen)]) for key, seen in named.items())
+        values = self.head(self.hidden(*observation)).reshape(*observation[0].shape[:-3], NUM_ACTIONS)
+        return (values[0] + mirrored("action_value", values[1])) / 2.0 if self.symmetric else values
 
     def hidden(self, depth: Tensor, heading: Tensor, *others: Tensor) -> Tensor:
         """The hidden layers of both streams, one sample a column: ``(1024, B)``; arguments as for ``forward``."""
@@ -274,6 +285,13 @@ class D3QN(nn.Module):
             advantage = torch.addmm(self.advantage.bias.unsqueeze(1), self.advantage.weight, hidden[STREAM_WIDTH:])
             return (value + advantage - advantage.mean(0, keepdim=True)).t()
 
+    def _named(self, observation: tuple[Tensor, ...]) -> dict[str, Tensor]:
+        """What the network is called with, by its keys."""
+        keys = keys_of(self.inputs)
+        if len(observation) != len(keys):
+            raise ValueError(f"the network sees {', '.join(keys)}, in this order; got {len(observation)} of them")
+        return dict(zip(keys, observation, strict=True))
+
     def _flat(self, depth: Tensor, heading: Tensor, *others: Tensor) -> tuple[Tensor, Tensor]:
         """Images ``(B, 4, H, W)``, and numbers ``(B, n)``: heading and closeness from 0 to 1, command from −1 to 1."""
         if depth.shape[-3:] != self.image_shape:
@@ -284,10 +302,7 @@ class D3QN(nn.Module):
         depth, scalars = depth.reshape(-1, *self.image_shape), ((heading + math.pi) / (2.0 * math.pi)).reshape(-1, 1)
         if "heading" not in self.inputs:
             scalars = torch.zeros_like(scalars)
-        keys = keys_of(self.inputs)
-        if len(others) != len(keys) - 2:
-            raise ValueError(f"the network sees {', '.join(keys)}, in this order; got {2 + len(others)} of them")
-        seen = dict(zip(keys[2:], others, strict=True))
+        seen = self._named((depth, heading, *others))
         if "command" in seen:
             scalars = torch.cat([scalars, seen["command"].reshape(-1, 2) / self._fastest], dim=1)
         if "surroundings" in seen:
@@ -406,6 +421,7 @@ def make_q_actor(
     depth_scale: DepthScale = "linear",
     *,
     heading_init: HeadingInit = "spread",
+    symmetric: bool = False,
 ) -> QValueActor:
     """The greedy policy of a new network.
 
@@ -419,6 +435,7 @@ def make_q_actor(
         inputs: what it sees.
         depth_scale: how; see ``D3QN``.
         heading_init: see ``D3QN``.
+        symmetric: see ``D3QN``.
 
     Returns:
         a TorchRL actor with a categorical action space, for tensordicts of any batch size.
@@ -426,5 +443,5 @@ def make_q_actor(
     Raises:
         ValueError: as ``D3QN``.
     """
-    network = D3QN(model, height, width, inputs, depth_scale, heading_init=heading_init)
+    network = D3QN(model, height, width, inputs, depth_scale, heading_init=heading_init, symmetric=symmetric)
     return QValueActor(network, in_keys=keys_of(inputs), spec=Categorical(NUM_ACTIONS))

@@ -19,32 +19,40 @@ from rl.weights import misfit
 Weights = Literal["best", "last"]
 
 
-def find_policy(name: str, *, weights: Weights = "best") -> tuple[QValueActor | Baseline, TrainConfig]:
+def find_policy(
+    name: str, *, weights: Weights = "best", symmetric: bool = False
+) -> tuple[QValueActor | Baseline, TrainConfig]:
     """A policy, and the settings whose camera, task and robot it is for.
 
     Args:
         name: a run's directory, ``pretrained:NAME`` for a policy that comes with the library, or one of
             ``rl.baselines.BASELINES``.
         weights: of a run: those that did best in its evaluations, or the last.
+        symmetric: whether it goes by the mean of its values for what it sees and for the mirror image of that, even if
+            it was trained without; see ``rl.networks.D3QN``.
 
     Raises:
-        RunError: if it is none of them, or a run that cannot be used; for the last weights of what is no run.
+        RunError: if it is none of them, or a run that cannot be used; for the last weights of what is no run; for a
+            baseline that is to be symmetric.
     """
     if weights != "best" and (name.startswith(PREFIX) or name in BASELINES):
         raise RunError(f"{name} is no run, which alone has last weights beside the best")
     if name.startswith(PREFIX):
-        return load_pretrained(name)
+        policy, config = load_pretrained(name)
+        return _with_symmetry(policy, symmetric), config
     if name in BASELINES:
+        if symmetric:
+            raise RunError(f"{name} is a baseline, which has no network to ask twice: leave --symmetric out")
         config = TrainConfig()
         return make_baseline(name, config.camera), config
     if not Run(name).exists:
         meant = difflib.get_close_matches(name, BASELINES, n=1)
         remedy = f'did you mean "{meant[0]}"?' if meant else f"name one, or a baseline: {', '.join(BASELINES)}"
         raise RunError(f"{name} is not a run's directory; {remedy}")
-    return load_policy(name, weights=weights), Run(name).config
+    return load_policy(name, weights=weights, symmetric=symmetric), Run(name).config
 
 
-def load_policy(run: str | os.PathLike[str], *, weights: Weights = "best") -> QValueActor:
+def load_policy(run: str | os.PathLike[str], *, weights: Weights = "best", symmetric: bool = False) -> QValueActor:
     """The policy that a run has learnt, acting greedily.
 
     It reads what its ``in_keys`` name: ``depth`` uint8 ``(..., 4, H, W)``, images of the size that it was trained with,
@@ -55,12 +63,13 @@ def load_policy(run: str | os.PathLike[str], *, weights: Weights = "best") -> QV
     Args:
         run: the directory that ``navsim train`` wrote, or ``pretrained:NAME`` for a policy that comes with the library.
         weights: of a run: those that did best in its evaluations, or the last.
+        symmetric: as for ``find_policy``.
 
     Raises:
         RunError: for a directory without a run, and for files that are missing, damaged or do not fit together.
     """
     if str(run).startswith(PREFIX):
-        return load_pretrained(str(run))[0]
+        return _with_symmetry(load_pretrained(str(run))[0], symmetric)
     opened = Run.open(Path(run))
     config = opened.config
     name = POLICY_FILES[weights]
@@ -73,4 +82,10 @@ def load_policy(run: str | os.PathLike[str], *, weights: Weights = "best") -> QV
         )
     actor = make_actor(config)
     actor.load_state_dict(found)
-    return actor.eval()
+    return _with_symmetry(actor.eval(), symmetric)
+
+
+def _with_symmetry(actor: QValueActor, symmetric: bool) -> QValueActor:
+    network = actor.module[0].module
+    network.symmetric = network.symmetric or symmetric
+    return actor

@@ -21,7 +21,7 @@ from torchrl.data import LazyTensorStorage, PrioritizedSampler, RandomSampler, T
 from torchrl.data.replay_buffers.storages import Storage
 from torchrl.envs.transforms import Compose, MultiStepTransform, Transform
 
-from navsim.robot import MIRRORED_ACTIONS
+from rl.mirror import MirroredHalf
 from rl.observation import DEPTH_AND_HEADING, Input, history_length, keys_of
 
 PRIORITY_EXPONENT = 0.3
@@ -63,7 +63,7 @@ def make_replay(
         n_step: rewards summed into one, as far as the episode goes; ``next`` is the observation after the last of them.
         gamma: discount of the sum, a step.
         prioritized: whether large errors are sampled more often (``update_tensordict_priority`` after the loss).
-        mirror: whether half of each sample is mirrored, see ``MirroredHalf``.
+        mirror: whether half of each sample is mirrored, see ``rl.mirror.MirroredHalf``.
         inputs: what the network sees; what is among them besides depth and heading is kept, too.
         frame_interval: of the environments: steps from one image of a stack to the next.
         generator: of the sampled indices; by default, one seeded from torch's global generator.
@@ -456,31 +456,3 @@ class _MinArray(_Array):
 
     def query(self, first: int, last: int) -> float:
         return self.values[first:last].min().item()
-
-
-_MIRRORED_ACTIONS = torch.tensor(MIRRORED_ACTIONS)
-_MIRRORED_COMMAND = torch.tensor([1.0, -1.0])
-
-
-class MirroredHalf(Transform):
-    """Replaces half of each sample by its mirror image.
-
-    Left and right swapped, a world is as good a world, and its best action is the mirrored one: images and what is
-    remembered around the robot are flipped, headings and turning speeds negated, left turns become right turns. Samples
-    are drawn independently, so which half does not matter.
-    """
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        if not tensordict.batch_dims:
-            return tensordict
-        half = len(tensordict) // 2
-        for part in (tensordict, tensordict["next"]):
-            part["depth"][:half] = part["depth"][:half].flip(-1)
-            part["heading"] = torch.cat([-part["heading"][:half], part["heading"][half:]])
-            if "command" in part:
-                part["command"] = torch.cat([part["command"][:half] * _MIRRORED_COMMAND, part["command"][half:]])
-            if "surroundings" in part:
-                part["surroundings"] = torch.cat([part["surroundings"][:half].flip(-1), part["surroundings"][half:]])
-        action = tensordict["action"]
-        tensordict["action"] = torch.cat([_MIRRORED_ACTIONS[action[:half]], action[half:]])
-        return tensordict

@@ -15,6 +15,7 @@ import rl.series
 from rl.ablations import ROWS, Row, arguments_of, run
 from rl.cli import main
 from rl.config import PRESETS
+from rl.evaluation import evaluate_as_trained
 
 QUIET = Console(file=io.StringIO())
 
@@ -68,12 +69,42 @@ def test_finished_runs_are_not_repeated_and_the_page_has_every_seed(small, monke
     page = small["page"].read_text(encoding="utf-8")
     rates = [json.loads(first[f"base-seed{seed}.json"])["final"]["complex_eval"]["success_rate"] for seed in (0, 1)]
     table = [line for line in page.splitlines() if line.startswith("| base")]
-    assert len(table) == 1
     assert f"| {50 * sum(rates):.1f} | {100 * rates[0]:.0f}, {100 * rates[1]:.0f} |" in table[0]
+    assert [line.split(" | ")[:2] for line in table[1:]] == [["| base", "2"]]
     assert page.index("| base") < page.index("| S |")
     assert "- S: `navsim train --model S`" in page
     assert (small["results"] / "curves.png").stat().st_size > 10_000
     assert "](results/curves.png)" in page
+
+
+def test_the_page_tells_what_the_same_weights_do_symmetrically(small):
+    run(["base"], [0, 1], **small, console=QUIET)
+    files = sorted(small["results"].glob("*.json"))
+    for file, alone, mean in zip(files, (0.8, 0.9), (0.9, 0.94), strict=True):
+        results = json.loads(file.read_text(encoding="utf-8"))
+        for kind, rate in (("final", alone), ("symmetric", mean)):
+            for place in results[kind].values():
+                place["success_rate"] = rate
+        file.write_text(json.dumps(results), encoding="utf-8")
+    older = json.loads(files[0].read_text(encoding="utf-8")) | {"seed": 2}
+    del older["symmetric"]
+    (small["results"] / "base-seed2.json").write_text(json.dumps(older), encoding="utf-8")
+    run(["base"], [0], **small, console=QUIET)
+    (row,) = [line for line in small["page"].read_text(encoding="utf-8").splitlines() if line.startswith("| base | 2")]
+    told = ["85.0 → 92.0", "80 → 90, 90 → 94", "85.0 → 92.0", "80.0 → 90.0, 90.0 → 94.0"]
+    assert row == f"| base | 2 | {' | '.join(told)} |"
+
+
+def test_symmetric_policies_are_evaluated_beside_those_of_the_network_alone(small, monkeypatch):
+    driven = []
+
+    def evaluate(actor, *arguments, **settings):
+        driven.append(actor.module[0].module.symmetric)
+        return evaluate_as_trained(actor, *arguments, **settings)
+
+    monkeypatch.setattr(rl.ablations, "evaluate_as_trained", evaluate)
+    run(["base"], [0], **small, console=QUIET)
+    assert driven == [False, False, True, True]
 
 
 def test_the_page_may_lie_anywhere(small, tmp_path):

@@ -34,7 +34,7 @@ def test_thesis_preset_holds_the_numbers_of_section_5_3():
     assert (thesis.target_update, thesis.tau, thesis.steps_per_update) == ("soft", 0.001, 1.0)
     assert thesis.total_steps == 400_000
     assert (thesis.inputs, thesis.depth_scale, thesis.frame_interval) == (("depth", "heading"), "linear", 1)
-    assert thesis.heading_init == "glorot"
+    assert (thesis.heading_init, thesis.symmetric) == ("glorot", False)
     assert (thesis.mirror, thesis.prioritized, thesis.random_paths) == (False, False, False)
 
 

@@ -71,6 +71,8 @@ def test_the_network_is_the_one_that_the_settings_describe(loss_function, depth_
     assert (network.model, network.inputs, network.depth_scale) == ("S", {"heading", "command"}, depth_scale)
     assert network.heading_init == "spread"
     assert make_actor(replace(config, heading_init="glorot")).module[0].module.heading_init == "glorot"
+    assert not network.symmetric
+    assert make_actor(replace(config, symmetric=True)).module[0].module.symmetric
     assert network.image_shape == (4, 12, 20)
     assert getattr(network, "support", torch.empty(0)).numel() == (config.atoms if loss_function != "l2" else 0)
 
@@ -85,6 +87,21 @@ def test_what_is_known_is_learnt(model):
     assert losses[-1] < 0.02 * losses[0]
     values = learner.actor(batch.clone())["action_value"].gather(1, batch["action"].unsqueeze(1))
     assert (values - batch["next", "reward"]).abs().max() < 0.3
+
+
+@pytest.mark.parametrize("loss_function", ["categorical", "l2"])
+def test_a_symmetric_policy_learns_the_same(loss_function):
+    learners = []
+    for symmetric in (True, False):
+        torch.manual_seed(0)
+        learners.append(Learner(replace(CONFIG, loss_function=loss_function, symmetric=symmetric)))
+    batch = sample()
+    for _ in range(3):
+        losses = [learner.update(batch.clone()) for learner in learners]
+        assert losses[0] == losses[1]
+    assert (online(learners[0]) == online(learners[1])).all()
+    values = [learner.actor(batch.clone())["action_value"] for learner in learners]
+    assert not torch.allclose(*values, atol=1e-3)
 
 
 def target(learner: Learner) -> torch.Tensor:

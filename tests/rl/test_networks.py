@@ -12,6 +12,7 @@ import torch
 from tensordict import TensorDict
 from torch.nn import functional as F
 
+from rl.categorical import make_categorical_actor
 from rl.networks import D3QN, SameConv2d, hidden_of_update, make_q_actor, same_padding
 
 SIZES = [(64, 80), (10, 14), (61, 77), (33, 90)]
@@ -186,6 +187,36 @@ def test_any_batch_dimensions_are_kept(model):
     assert values.shape == (2, 3, 7)
     torch.testing.assert_close(network(depth[1, 2], heading[1, 2]), values[1, 2])
     torch.testing.assert_close(network(depth[1], heading[1]), values[1])
+
+
+@pytest.mark.parametrize("model", ["I", "S"])
+@pytest.mark.parametrize("batch", [(), (4,), (2, 3)])
+@pytest.mark.parametrize("inputs", [("depth", "heading"), ("depth", "heading", "command", "surroundings")])
+@pytest.mark.parametrize("make", [make_q_actor, make_categorical_actor])
+def test_a_symmetric_policy_goes_by_the_mean_of_what_it_sees_and_of_its_mirror_image(model, batch, inputs, make):
+    torch.manual_seed(0)
+    actor = make(model, 33, 90, inputs, symmetric=True)
+    plain = copy.deepcopy(actor).module[0].module
+    plain.symmetric = False
+    depth, heading = observations(*batch, height=33, width=90)
+    command = torch.rand(*batch, 2) - 0.5
+    surroundings = 0.2 + 2.0 * torch.rand(*batch, 36)
+    seen = {"depth": depth, "heading": heading, "command": command, "surroundings": surroundings}
+    mirrored = {
+        "depth": torch.from_numpy(depth.numpy()[..., ::-1].copy()),
+        "heading": -heading,
+        "command": torch.stack([command[..., 0], -command[..., 1]], dim=-1),
+        "surroundings": torch.from_numpy(surroundings.numpy()[..., ::-1].copy()),
+    }
+    keys = list(seen)[: len(inputs)]
+    straight, other = (plain(*(world[key] for key in keys)) for world in (seen, mirrored))
+    turns_swapped = torch.stack([other[..., action] for action in (0, 1, 6, 5, 4, 3, 2)], dim=-1)
+    assert not torch.allclose(straight, turns_swapped, atol=1e-3)
+    chosen = actor(TensorDict(seen, batch))
+    torch.testing.assert_close(chosen["action_value"], (straight + turns_swapped) / 2)
+    in_the_mirror = actor(TensorDict(mirrored, batch))["action_value"]
+    for action, opposite in enumerate((0, 1, 6, 5, 4, 3, 2)):
+        torch.testing.assert_close(chosen["action_value"][..., action], in_the_mirror[..., opposite])
 
 
 def test_memory_layout_of_the_images_does_not_matter():

@@ -14,8 +14,8 @@ from navsim.camera import DepthCamera
 from rl.config import TrainConfig
 from rl.learner import make_actor
 from rl.networks import make_q_actor
-from rl.policies import load_policy
-from rl.run import Run, RunError
+from rl.policies import find_policy, load_policy
+from rl.run import FORMAT, Run, RunError, write_json
 
 CAMERA = DepthCamera(width=14, height=10)
 
@@ -50,6 +50,27 @@ def test_the_policy_takes_the_action_of_the_greatest_value(run, exploration):
     with set_exploration_type(exploration):
         chosen = policy(observations(32))
     assert (chosen["action"] == chosen["action_value"].argmax(dim=-1)).all()
+
+
+def test_a_policy_can_be_made_symmetric_whether_or_not_it_was_trained_so(run):
+    seen = observations(5)
+    mirrored = TensorDict({"depth": seen["depth"].flip(-1), "heading": -seen["heading"]}, [5])
+    straight, other = (load_policy(run.directory)(world.clone())["action_value"] for world in (seen, mirrored))
+    mean = (straight + other[:, [0, 1, 6, 5, 4, 3, 2]]) / 2
+    assert not torch.allclose(straight, mean, atol=1e-4)
+    for policy in (load_policy(run.directory, symmetric=True), find_policy(str(run.directory), symmetric=True)[0]):
+        torch.testing.assert_close(policy(seen.clone())["action_value"], mean)
+    settings = run.config.to_dict()
+    write_json(run.directory / "config.json", {"format": FORMAT, **settings, "symmetric": True})
+    torch.testing.assert_close(load_policy(run.directory)(seen.clone())["action_value"], mean)
+
+
+def test_shipped_policies_can_be_made_symmetric_and_baselines_cannot():
+    assert load_policy("pretrained:S", symmetric=True).module[0].module.symmetric
+    assert find_policy("pretrained:S", symmetric=True)[0].module[0].module.symmetric
+    assert not load_policy("pretrained:S").module[0].module.symmetric
+    with pytest.raises(RunError, match=r"reactive is a baseline, .*: leave --symmetric out"):
+        find_policy("reactive", symmetric=True)
 
 
 def test_a_directory_without_a_run_is_named(tmp_path):
