@@ -71,13 +71,15 @@ BASE: dict[str, Any] = {"num_threads": 1, "report": False}
 _FURNISHED: dict[str, Any] = {key: getattr(PRESETS["memoryless"], key) for key in ("world", "rearrangements")}
 _TWICE_AS_LONG = {"total_steps": 200_000, "eval_interval": 25_000}
 _PLAIN_LENGTH = {**_TWICE_AS_LONG, "steps_per_update": 8.0, "epsilon_steps": 25_000}
+_ALONE: dict[str, Any] = {"symmetric": False}
 _PLAIN_RETURNS: dict[str, Any] = {"n_step": 5, "epsilon_end": 0.3}
 _PLAIN_ROOMS: dict[str, Any] = {"margin": 0.0, **_rooms()}
-_PLAIN: dict[str, Any] = {**_PLAIN_LENGTH, **_PLAIN_RETURNS, **_PLAIN_ROOMS}
-"""What preset ``memoryless`` was before it learnt with a margin, longer returns, other rooms and more of them."""
-_PLAINLY = "five-step returns, no margin, 200,000 steps, an update every 8, in 400 generated rooms"
+_PLAIN: dict[str, Any] = {**_ALONE, **_PLAIN_LENGTH, **_PLAIN_RETURNS, **_PLAIN_ROOMS}
+"""What preset ``memoryless`` was before it learnt with a margin, longer returns, other rooms and more of them, and
+before its policies were symmetric."""
+_PLAINLY = "the network alone, five-step returns, no margin, 200,000 steps, an update every 8, in 400 generated rooms"
 _MIXED = _rooms(densities=[DENSITY, 0.17])
-_LONGER_MIXED = "five-step returns, no margin, in generated rooms alone"
+_LONGER_MIXED = "the network alone, five-step returns, no margin, in generated rooms alone"
 
 
 class Row(NamedTuple):
@@ -142,7 +144,11 @@ ROWS: dict[str, Row] = {
     "blind": Row("sees no images", {"inputs": ("heading",)}),
     "no-margin": Row("with the rules of evaluations", {"margin": 0.0}),
     "margin-0.06": Row("0.06 m stricter, not 0.1", {"margin": 0.06}),
-    "S-margin-0.06": Row("D3QN-S, 0.06 m stricter, not 0.1", {"model": "S", "margin": 0.06}),
+    "S-margin-0.06": Row(
+        "D3QN-S, the network alone, 0.06 m stricter, not 0.1", {"model": "S", "margin": 0.06, **_ALONE}
+    ),
+    "alone": Row("the network alone, no symmetric policy", _ALONE),
+    "S-alone": Row("D3QN-S, the network alone, no symmetric policy", {"model": "S", **_ALONE}),
     "generated-rooms": Row("in generated rooms alone", _MIXED),
     "one-room": Row("in one room, complex_train", {"world": ("complex_train",), "rearrangements": 0}),
     "rearranged": Row("in complex_train and 200 rearrangements of it", {"world": ("complex_train",)}),
@@ -177,16 +183,18 @@ ROWS: dict[str, Row] = {
     ),
     "plain-inverse-12-steps": Row(
         f"sees depth inverted; {_PLAINLY}, but twelve-step returns",
-        {"depth_scale": "inverse", **_PLAIN_LENGTH, **_PLAIN_ROOMS},
+        {"depth_scale": "inverse", **_ALONE, **_PLAIN_LENGTH, **_PLAIN_ROOMS},
     ),
     "plain-command-apart": Row(
         f"sees its command, and images three steps apart; {_PLAINLY}",
         {"inputs": ("depth", "heading", "command"), "frame_interval": 3, **_PLAIN},
     ),
-    "plain-longer-mixed": Row(_LONGER_MIXED, {"margin": 0.0, **_PLAIN_RETURNS, **_MIXED}),
-    "S-plain-longer-mixed": Row(f"D3QN-S, {_LONGER_MIXED}", {"model": "S", "margin": 0.0, **_PLAIN_RETURNS, **_MIXED}),
+    "plain-longer-mixed": Row(_LONGER_MIXED, {"margin": 0.0, **_ALONE, **_PLAIN_RETURNS, **_MIXED}),
+    "S-plain-longer-mixed": Row(
+        f"D3QN-S, {_LONGER_MIXED}", {"model": "S", "margin": 0.0, **_ALONE, **_PLAIN_RETURNS, **_MIXED}
+    ),
     "plain-longer-mixed-margin": Row(
-        f"{_LONGER_MIXED}, but 0.06 m stricter", {"margin": 0.06, **_PLAIN_RETURNS, **_MIXED}
+        f"{_LONGER_MIXED}, but 0.06 m stricter", {"margin": 0.06, **_ALONE, **_PLAIN_RETURNS, **_MIXED}
     ),
 }
 """The base first; then what the robot sees, where it learns, and how."""
@@ -239,12 +247,12 @@ def run(
 def _results_of(trained: Run, console: Console) -> dict[str, Any]:
     """A finished run's curves, and what its last weights do in rooms that it has not seen."""
     config, rows = trained.config, trained.evaluations.rows()
-    final, symmetric = (
+    alone, symmetric = (
         {
-            place: rates_of(evaluate_as_trained(actor, config, world, num_paths=paths, console=console))
+            place: rates_of(evaluate_as_trained(policy, config, world, num_paths=paths, console=console))
             for place, (world, paths) in PLACES.items()
         }
-        for actor in (load_policy(trained.directory, weights="last", symmetric=made) for made in (False, True))
+        for policy in (load_policy(trained.directory, weights="last", symmetric=wanted) for wanted in (False, True))
     )
     return {
         "command": f"navsim train {shlex.join(arguments_of(config))}",
@@ -252,7 +260,8 @@ def _results_of(trained: Run, console: Console) -> dict[str, Any]:
             key: [float(row[key]) for row in rows]
             for key in ("step", "seconds", "processor_seconds", "success_rate", "spl")
         },
-        "final": final,
+        "final": symmetric if config.symmetric else alone,
+        "alone": alone,
         "symmetric": symmetric,
     }
 
@@ -352,15 +361,15 @@ def _symmetric_table(rows: dict[str, list[dict[str, Any]]]) -> list[str]:
             continue
         cells = [name, str(len(runs))]
         for place, digits in ((COMPLEX, 0), (UNSEEN, 1)):
-            alone, mean = ([100 * one[kind][place]["success_rate"] for one in runs] for kind in ("final", "symmetric"))
+            alone, mean = ([100 * one[kind][place]["success_rate"] for one in runs] for kind in ("alone", "symmetric"))
             pairs = ", ".join(f"{a:.{digits}f} → {b:.{digits}f}" for a, b in zip(alone, mean, strict=True))
             cells += [f"{statistics.fmean(alone):.1f} → {statistics.fmean(mean):.1f}", pairs]
         lines.append(f"| {' | '.join(cells)} |")
     if not lines:
         return []
     return [
-        "The same weights as symmetric policies, which go by the mean of the network's values for what it sees and for",
-        "the mirror image of that (`navsim evaluate RUN --weights last --symmetric`):",
+        "The same weights alone → as symmetric policies, which go by the mean of the network's values for what it sees",
+        "and for the mirror image of that (`navsim evaluate RUN --weights last --symmetric yes`, or `no`):",
         "",
         "| | seeds | `complex_eval`, % | each seed | unseen rooms, % | each seed |",
         "|---|---|---|---|---|---|",

@@ -161,7 +161,7 @@ def evaluate(
     seed: int = 0,
     num_paths: Annotated[int | None, arg(help_behavior_hint="(default: all, up to 1000 in several worlds)")] = None,
     weights: Literal["best", "last"] = "best",
-    symmetric: FlagCreatePairsOff[bool] = False,
+    symmetric: Annotated[Literal["yes", "no"] | None, arg(help_behavior_hint="(default: as it was trained)")] = None,
     ideal: FlagCreatePairsOff[bool] = False,
     randomized: FlagCreatePairsOff[bool] = False,
 ) -> None:
@@ -176,8 +176,8 @@ def evaluate(
         num_paths: Paths to drive: the first that the world lists, or this many if it leaves starts or goals open; of
             several worlds this many together, evenly shared out.
         weights: Of a run: those that did best in its evaluations, or the last, which nothing was chosen by.
-        symmetric: Go by the mean of the network's values for what it sees and for the mirror image of that, whether or
-            not the run was trained so ("navsim train --symmetric").
+        symmetric: Whether to go by the mean of the network's values for what it sees and for the mirror image of that,
+            whatever it was trained for.
         ideal: Show ideal images, whatever noise, losses and latency the run was trained with.
         randomized: Draw camera, wheels, sensor and starts for each path, from the ranges the run was trained with.
     """
@@ -187,7 +187,7 @@ def evaluate(
     from rl.policies import find_policy
 
     console = Console()
-    policy, config = find_policy(run, weights=weights, symmetric=symmetric)
+    policy, config = find_policy(run, weights=weights, symmetric=None if symmetric is None else symmetric == "yes")
     if randomized and config.randomization == Randomization():
         raise ValueError(
             f"{run} was trained without randomization, so there is nothing to draw: leave --randomized out"

@@ -26,7 +26,7 @@ GREATEST_MARGIN = 0.2
 """Metres. Gaps in generated rooms are 1 m wide, and the depth rule makes a robot that turns effectively 0.8 m wide, or
 1.2 m with this margin: with more, there would be little left to train in."""
 
-_BEFORE = {"margin": 0.0}
+_BEFORE = {"margin": 0.0, "symmetric": False}
 """Settings that came later, as all runs from before them had it, where that is not the default."""
 
 PARTS: dict[str, type] = {
@@ -74,9 +74,10 @@ class Experiment:
     heading_init: HeadingInit = "spread"
     """How D3QN-S's weights for the heading begin: "spread", so that it matters from the first update on, or "glorot",
     as all other weights do."""
-    symmetric: bool = False
-    """Whether the policy goes by the mean of the network's values for what it sees and for the mirror image of that
-    (left and right swapped), each turn's with that of the turn the other way. Network and loss are the same."""
+    symmetric: bool = True
+    """Whether evaluations, and whoever loads the policy, go by the mean of the network's values for what it sees and
+    for the mirror image of that (left and right swapped), each turn's with that of the turn the other way. Training is
+    the same."""
     world: tuple[str, ...] = (
         "generate:clutter,density=0.11,count=100",
         "generate:clutter,density=0.17,count=100",
@@ -391,6 +392,7 @@ PRESETS: dict[str, TrainConfig] = {
         preset="fast",
         inputs=("depth", "heading", "command", "surroundings"),
         depth_scale="inverse",
+        symmetric=False,
         world=("generate:clutter,density=0.11,count=400",),
         total_steps=100_000,
         margin=0.0,
@@ -407,6 +409,7 @@ PRESETS: dict[str, TrainConfig] = {
     "thesis": TrainConfig(
         preset="thesis",
         heading_init="glorot",
+        symmetric=False,
         world=("complex_train",),
         num_envs=8,
         random_paths=False,

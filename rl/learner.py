@@ -13,7 +13,7 @@ from torchrl.objectives import HardUpdate
 from rl.categorical import CategoricalD3QNLoss, make_categorical_actor
 from rl.config import TrainConfig
 from rl.loss import D3QNLoss, fastest_autocast
-from rl.networks import make_q_actor
+from rl.networks import make_q_actor, symmetric_policy
 from rl.optimiser import ClippedAdam, SoftUpdateAtOnce
 
 NO_CUDA = "--device cuda: PyTorch finds no such device here; use --device cpu"
@@ -27,7 +27,8 @@ class Learner:
 
     Attributes:
         actor: the greedy policy, on the CPU. With ``--device cuda`` it is a copy of the one that learns, as old as the
-            last ``hand_over``.
+            last ``hand_over``. It explores, too.
+        policy: what ``actor`` has learnt as it is evaluated: the same, unless the settings make it symmetric.
 
     Raises:
         ValueError: for a device that is not there.
@@ -44,6 +45,7 @@ class Learner:
             self._learning = make_actor(config).to(config.device)
             self._learning.load_state_dict(self.actor.state_dict())
             self.loss = make_loss(self._learning, config)
+        self.policy = policy_of(self.actor, config)
         if config.target_update == "soft":
             self.target_updater = SoftUpdateAtOnce(self.loss, tau=config.tau)
         else:
@@ -138,15 +140,17 @@ def make_actor(config: TrainConfig) -> QValueActor:
         return make_categorical_actor(
             *(config.model, height, width, config.inputs, config.depth_scale),
             heading_init=config.heading_init,
-            symmetric=config.symmetric,
             atoms=config.atoms,
             value_range=returns,
         )
     return make_q_actor(
-        *(config.model, height, width, config.inputs, config.depth_scale),
-        heading_init=config.heading_init,
-        symmetric=config.symmetric,
+        *(config.model, height, width, config.inputs, config.depth_scale), heading_init=config.heading_init
     )
+
+
+def policy_of(actor: QValueActor, config: TrainConfig) -> QValueActor:
+    """What an actor from ``make_actor`` is once it is trained, and in evaluations; it shares the weights."""
+    return symmetric_policy(actor) if config.symmetric else actor
 
 
 def name_in_network(name: str) -> str:

@@ -30,6 +30,7 @@ docs/performance.md tells what each of these gives, and what was tried besides.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Collection, Sequence
 from typing import Any, NamedTuple, get_args
@@ -140,11 +141,10 @@ class D3QN(nn.Module):
         depth_scale: what becomes of a depth d between 0 and 1, of the greatest: ``"linear"``, d itself, or
             ``"inverse"``, 0.08 / max(d, 0.08). It is no weight, and a state dict does not tell it.
         heading_init: how D3QN-S's weights for the heading begin; D3QN-I has none of its own.
-        symmetric: whether calling it gives the mean of the values for what it sees and for the mirror image of that,
-            each action's with the mirrored one's, so that what it does in a mirrored world is the mirrored action. No
-            weight either; what losses learn are the values of what is seen.
 
     Attributes:
+        symmetric: whether calling it gives the mean of its values for what it sees and for the mirror image of that,
+            see ``symmetric_policy``.
         conv1, conv2, conv3: the convolutions; the fifth input channel of D3QN-I's ``conv1`` is the heading's.
         streams: the first layers of both streams, value before advantage.
         value, advantage: the streams' last layers.
@@ -175,7 +175,6 @@ class D3QN(nn.Module):
         depth_scale: DepthScale = "linear",
         *,
         heading_init: HeadingInit = "spread",
-        symmetric: bool = False,
     ) -> None:
         super().__init__()
         if model not in get_args(Model):
@@ -197,7 +196,7 @@ class D3QN(nn.Module):
         self.inputs = frozenset(inputs)
         self.depth_scale = depth_scale
         self.heading_init = heading_init
-        self.symmetric = symmetric
+        self.symmetric = False
         self.image_shape = (NUM_FRAMES, height, width)
 
         channels, size = NUM_FRAMES + (model == "I"), (height, width)
@@ -421,7 +420,6 @@ def make_q_actor(
     depth_scale: DepthScale = "linear",
     *,
     heading_init: HeadingInit = "spread",
-    symmetric: bool = False,
 ) -> QValueActor:
     """The greedy policy of a new network.
 
@@ -435,7 +433,6 @@ def make_q_actor(
         inputs: what it sees.
         depth_scale: how; see ``D3QN``.
         heading_init: see ``D3QN``.
-        symmetric: see ``D3QN``.
 
     Returns:
         a TorchRL actor with a categorical action space, for tensordicts of any batch size.
@@ -443,5 +440,20 @@ def make_q_actor(
     Raises:
         ValueError: as ``D3QN``.
     """
-    network = D3QN(model, height, width, inputs, depth_scale, heading_init=heading_init, symmetric=symmetric)
+    network = D3QN(model, height, width, inputs, depth_scale, heading_init=heading_init)
     return QValueActor(network, in_keys=keys_of(inputs), spec=Categorical(NUM_ACTIONS))
+
+
+def symmetric_policy(actor: QValueActor) -> QValueActor:
+    """The greedy policy that goes by what a network says of its world and of the mirror image of it.
+
+    Each action's value is the mean of its own for what is seen and the mirrored action's for the mirror image, so that
+    in a mirrored world the policy does the mirrored action, which learning from mirrored samples makes likely but not
+    certain. Two opinions for twice the computing: what the network has not learnt alike for left and right cancels out.
+
+    Args:
+        actor: from ``make_q_actor`` or ``rl.load_policy``. It stays as it is; the weights are shared.
+    """
+    network = copy.copy(actor.module[0].module)
+    network.symmetric = True
+    return QValueActor(network, in_keys=keys_of(network.inputs), spec=Categorical(NUM_ACTIONS)).train(actor.training)

@@ -11,7 +11,7 @@ from torchrl.modules import QValueActor
 
 from rl.baselines import BASELINES, Baseline, make_baseline
 from rl.config import TrainConfig
-from rl.learner import make_actor, shapes_of_weights
+from rl.learner import make_actor, policy_of, shapes_of_weights
 from rl.pretrained import PREFIX, load_pretrained
 from rl.run import POLICY_FILES, Run, RunError
 from rl.weights import misfit
@@ -20,7 +20,7 @@ Weights = Literal["best", "last"]
 
 
 def find_policy(
-    name: str, *, weights: Weights = "best", symmetric: bool = False
+    name: str, *, weights: Weights = "best", symmetric: bool | None = None
 ) -> tuple[QValueActor | Baseline, TrainConfig]:
     """A policy, and the settings whose camera, task and robot it is for.
 
@@ -28,20 +28,20 @@ def find_policy(
         name: a run's directory, ``pretrained:NAME`` for a policy that comes with the library, or one of
             ``rl.baselines.BASELINES``.
         weights: of a run: those that did best in its evaluations, or the last.
-        symmetric: whether it goes by the mean of its values for what it sees and for the mirror image of that, even if
-            it was trained without; see ``rl.networks.D3QN``.
+        symmetric: whether it goes by the mean of its values for what it sees and for the mirror image of that, see
+            ``rl.networks.symmetric_policy``; None: as its settings say.
 
     Raises:
-        RunError: if it is none of them, or a run that cannot be used; for the last weights of what is no run; for a
-            baseline that is to be symmetric.
+        RunError: if it is none of them, or a run that cannot be used; for last weights of what is no run, and symmetry,
+            or its absence, of what is no network.
     """
     if weights != "best" and (name.startswith(PREFIX) or name in BASELINES):
         raise RunError(f"{name} is no run, which alone has last weights beside the best")
     if name.startswith(PREFIX):
         policy, config = load_pretrained(name)
-        return _with_symmetry(policy, symmetric), config
+        return _symmetric(policy, symmetric), config
     if name in BASELINES:
-        if symmetric:
+        if symmetric is not None:
             raise RunError(f"{name} is a baseline, which has no network to ask twice: leave --symmetric out")
         config = TrainConfig()
         return make_baseline(name, config.camera), config
@@ -52,7 +52,9 @@ def find_policy(
     return load_policy(name, weights=weights, symmetric=symmetric), Run(name).config
 
 
-def load_policy(run: str | os.PathLike[str], *, weights: Weights = "best", symmetric: bool = False) -> QValueActor:
+def load_policy(
+    run: str | os.PathLike[str], *, weights: Weights = "best", symmetric: bool | None = None
+) -> QValueActor:
     """The policy that a run has learnt, acting greedily.
 
     It reads what its ``in_keys`` name: ``depth`` uint8 ``(..., 4, H, W)``, images of the size that it was trained with,
@@ -69,7 +71,7 @@ def load_policy(run: str | os.PathLike[str], *, weights: Weights = "best", symme
         RunError: for a directory without a run, and for files that are missing, damaged or do not fit together.
     """
     if str(run).startswith(PREFIX):
-        return _with_symmetry(load_pretrained(str(run))[0], symmetric)
+        return _symmetric(load_pretrained(str(run))[0], symmetric)
     opened = Run.open(Path(run))
     config = opened.config
     name = POLICY_FILES[weights]
@@ -82,10 +84,10 @@ def load_policy(run: str | os.PathLike[str], *, weights: Weights = "best", symme
         )
     actor = make_actor(config)
     actor.load_state_dict(found)
-    return _with_symmetry(actor.eval(), symmetric)
+    return _symmetric(policy_of(actor.eval(), config), symmetric)
 
 
-def _with_symmetry(actor: QValueActor, symmetric: bool) -> QValueActor:
-    network = actor.module[0].module
-    network.symmetric = network.symmetric or symmetric
-    return actor
+def _symmetric(policy: QValueActor, wanted: bool | None) -> QValueActor:
+    if wanted is not None:
+        policy.module[0].module.symmetric = wanted
+    return policy

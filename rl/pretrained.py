@@ -17,7 +17,7 @@ from torchrl.modules import QValueActor
 
 from navsim.files import atomic_write
 from rl.config import TrainConfig
-from rl.learner import make_actor, shapes_of_weights
+from rl.learner import make_actor, policy_of, shapes_of_weights
 from rl.run import POLICY_FILES, Run, RunError
 from rl.weights import misfit
 
@@ -96,4 +96,4 @@ def read_policy(path: Path) -> tuple[QValueActor, TrainConfig]:
         raise RunError(f"{path} holds weights that do not fit its settings: {reason}")
     actor = make_actor(config)
     actor.load_state_dict(weights)
-    return actor.eval(), config
+    return policy_of(actor.eval(), config), config

@@ -429,7 +429,7 @@ class _Logs:
 
 
 def _evaluate(learner: Learner, worlds: Sequence[World], config: TrainConfig) -> Evaluation:
-    return evaluate_as_trained(learner.actor, config, worlds, seed=config.seed, num_paths=few_paths(worlds))
+    return evaluate_as_trained(learner.policy, config, worlds, seed=config.seed, num_paths=few_paths(worlds))
 
 
 def _probe_states(worlds: Sequence[World], config: TrainConfig) -> TensorDictBase:

@@ -45,8 +45,8 @@ def test_fast_is_the_default_and_sees_more_and_learns_shorter_than_memoryless():
     assert (memoryless.inputs, memoryless.depth_scale) == (("depth", "heading"), "linear")
     different = {name for name, value in fast.to_dict().items() if value != memoryless.to_dict()[name]}
     assert different == {
-        *("preset", "inputs", "depth_scale", "world", "rearrangements", "margin", "n_step", "steps_per_update"),
-        *("total_steps", "epsilon_end", "epsilon_steps", "eval_interval", "checkpoint_interval"),
+        *("preset", "inputs", "depth_scale", "symmetric", "world", "rearrangements", "margin", "n_step"),
+        *("steps_per_update", "total_steps", "epsilon_end", "epsilon_steps", "eval_interval", "checkpoint_interval"),
     }
     updates = [config.total_steps / config.steps_per_update for config in (fast, memoryless)]
     assert updates == [12_500, 25_000]
@@ -77,10 +77,12 @@ def test_settings_survive_json(config):
     assert TrainConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
 
 
-def test_runs_from_before_there_was_a_margin_had_none():
-    written = {name: value for name, value in PRESETS["memoryless"].to_dict().items() if name != "margin"}
+def test_runs_from_before_there_was_a_margin_or_a_symmetric_policy_had_none():
+    later = ("margin", "symmetric")
+    written = {name: value for name, value in PRESETS["memoryless"].to_dict().items() if name not in later}
     assert PRESETS["memoryless"].margin > 0.0
-    assert TrainConfig.from_dict(written) == replace(PRESETS["memoryless"], margin=0.0)
+    assert PRESETS["memoryless"].symmetric
+    assert TrainConfig.from_dict(written) == replace(PRESETS["memoryless"], margin=0.0, symmetric=False)
 
 
 def test_every_setting_belongs_to_one_group_of_the_help():

@@ -36,7 +36,7 @@ from rl.learner import Learner
 from rl.run import FORMAT, Run, RunError, Table, settings_of, write_json
 from rl.train import train
 
-LATER_SETTINGS = ("depth_scale", "heading_init", "symmetric")
+LATER_SETTINGS = ("depth_scale", "heading_init")
 """Settings that came when there were runs of the present format already."""
 TIMES = ("seconds", "processor_seconds", "steps_per_second")
 

@@ -13,6 +13,7 @@ from tensordict import TensorDict
 from navsim.camera import DepthCamera
 from rl.config import PRESETS
 from rl.learner import Learner, make_actor
+from rl.networks import symmetric_policy
 from rl.optimiser import SoftUpdateAtOnce
 
 CONFIG = replace(
@@ -71,8 +72,6 @@ def test_the_network_is_the_one_that_the_settings_describe(loss_function, depth_
     assert (network.model, network.inputs, network.depth_scale) == ("S", {"heading", "command"}, depth_scale)
     assert network.heading_init == "spread"
     assert make_actor(replace(config, heading_init="glorot")).module[0].module.heading_init == "glorot"
-    assert not network.symmetric
-    assert make_actor(replace(config, symmetric=True)).module[0].module.symmetric
     assert network.image_shape == (4, 12, 20)
     assert getattr(network, "support", torch.empty(0)).numel() == (config.atoms if loss_function != "l2" else 0)
 
@@ -90,18 +89,24 @@ def test_what_is_known_is_learnt(model):
 
 
 @pytest.mark.parametrize("loss_function", ["categorical", "l2"])
-def test_a_symmetric_policy_learns_the_same(loss_function):
-    learners = []
-    for symmetric in (True, False):
-        torch.manual_seed(0)
-        learners.append(Learner(replace(CONFIG, loss_function=loss_function, symmetric=symmetric)))
+def test_a_symmetric_policy_is_of_the_actor_that_explores_and_learns(loss_function):
+    torch.manual_seed(0)
+    learner = Learner(replace(CONFIG, loss_function=loss_function, symmetric=True))
+    plain = Learner(replace(CONFIG, loss_function=loss_function, symmetric=False))
+    assert plain.policy is plain.actor
     batch = sample()
-    for _ in range(3):
-        losses = [learner.update(batch.clone()) for learner in learners]
-        assert losses[0] == losses[1]
-    assert (online(learners[0]) == online(learners[1])).all()
-    values = [learner.actor(batch.clone())["action_value"] for learner in learners]
-    assert not torch.allclose(*values, atol=1e-3)
+    before = learner.policy(batch.clone())["action_value"]
+    learner.update(batch.clone())
+    mirrored = batch.clone()
+    mirrored["depth"], mirrored["heading"] = mirrored["depth"].flip(-1), -mirrored["heading"]
+    straight, other = (learner.actor(seen)["action_value"] for seen in (batch.clone(), mirrored))
+    values = learner.policy(batch.clone())["action_value"]
+    torch.testing.assert_close(values, (straight + other[:, [0, 1, 6, 5, 4, 3, 2]]) / 2)
+    assert not torch.allclose(values, straight, atol=1e-3)
+    assert not torch.allclose(values, before, atol=1e-5)
+    learner.load_state_dict(plain.state_dict())  # as from a checkpoint
+    plain.policy = symmetric_policy(plain.actor)
+    assert (learner.policy(batch.clone())["action_value"] == plain.policy(batch.clone())["action_value"]).all()
 
 
 def target(learner: Learner) -> torch.Tensor:

@@ -13,7 +13,7 @@ from tensordict import TensorDict
 from torch.nn import functional as F
 
 from rl.categorical import make_categorical_actor
-from rl.networks import D3QN, SameConv2d, hidden_of_update, make_q_actor, same_padding
+from rl.networks import D3QN, SameConv2d, hidden_of_update, make_q_actor, same_padding, symmetric_policy
 
 SIZES = [(64, 80), (10, 14), (61, 77), (33, 90)]
 """Heights and widths: one of the thesis's, the smallest, and two whose padding is not symmetric."""
@@ -195,9 +195,8 @@ def test_any_batch_dimensions_are_kept(model):
 @pytest.mark.parametrize("make", [make_q_actor, make_categorical_actor])
 def test_a_symmetric_policy_goes_by_the_mean_of_what_it_sees_and_of_its_mirror_image(model, batch, inputs, make):
     torch.manual_seed(0)
-    actor = make(model, 33, 90, inputs, symmetric=True)
-    plain = copy.deepcopy(actor).module[0].module
-    plain.symmetric = False
+    alone = make(model, 33, 90, inputs)
+    actor, plain = symmetric_policy(alone), alone.module[0].module
     depth, heading = observations(*batch, height=33, width=90)
     command = torch.rand(*batch, 2) - 0.5
     surroundings = 0.2 + 2.0 * torch.rand(*batch, 36)
@@ -217,6 +216,8 @@ def test_a_symmetric_policy_goes_by_the_mean_of_what_it_sees_and_of_its_mirror_i
     in_the_mirror = actor(TensorDict(mirrored, batch))["action_value"]
     for action, opposite in enumerate((0, 1, 6, 5, 4, 3, 2)):
         torch.testing.assert_close(chosen["action_value"][..., action], in_the_mirror[..., opposite])
+    assert (chosen["action"] == chosen["action_value"].argmax(-1)).all()
+    assert torch.equal(alone(TensorDict(seen, batch))["action_value"], straight)
 
 
 def test_memory_layout_of_the_images_does_not_matter():

@@ -12,7 +12,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from navsim.camera import DepthCamera
 from rl.config import TrainConfig
-from rl.learner import make_actor
+from rl.learner import make_actor, policy_of
 from rl.networks import make_q_actor
 from rl.policies import find_policy, load_policy
 from rl.run import FORMAT, Run, RunError, write_json
@@ -37,6 +37,7 @@ def observations(count: int) -> TensorDict:
 def test_the_policy_is_the_one_that_was_saved(run):
     saved = make_actor(run.config)
     saved.load_state_dict(torch.load(run.directory / "policy.pt", weights_only=True))
+    saved = policy_of(saved, run.config)
     seen = observations(5)
     torch.testing.assert_close(
         load_policy(run.directory)(seen.clone())["action_value"], saved(seen.clone())["action_value"]
@@ -52,25 +53,33 @@ def test_the_policy_takes_the_action_of_the_greatest_value(run, exploration):
     assert (chosen["action"] == chosen["action_value"].argmax(dim=-1)).all()
 
 
-def test_a_policy_can_be_made_symmetric_whether_or_not_it_was_trained_so(run):
+def test_a_policy_is_as_symmetric_as_its_settings_or_whoever_loads_it_wants(run):
     seen = observations(5)
     mirrored = TensorDict({"depth": seen["depth"].flip(-1), "heading": -seen["heading"]}, [5])
-    straight, other = (load_policy(run.directory)(world.clone())["action_value"] for world in (seen, mirrored))
+    straight, other = (
+        load_policy(run.directory, symmetric=False)(world.clone())["action_value"] for world in (seen, mirrored)
+    )
     mean = (straight + other[:, [0, 1, 6, 5, 4, 3, 2]]) / 2
     assert not torch.allclose(straight, mean, atol=1e-4)
-    for policy in (load_policy(run.directory, symmetric=True), find_policy(str(run.directory), symmetric=True)[0]):
-        torch.testing.assert_close(policy(seen.clone())["action_value"], mean)
     settings = run.config.to_dict()
-    write_json(run.directory / "config.json", {"format": FORMAT, **settings, "symmetric": True})
-    torch.testing.assert_close(load_policy(run.directory)(seen.clone())["action_value"], mean)
+    for trained_for in (False, True):
+        write_json(run.directory / "config.json", {"format": FORMAT, **settings, "symmetric": trained_for})
+        for wanted in (None, False, True):
+            expected = mean if (trained_for and wanted is None) or wanted else straight
+            for policy in (
+                load_policy(run.directory, symmetric=wanted),
+                find_policy(str(run.directory), symmetric=wanted)[0],
+            ):
+                torch.testing.assert_close(policy(seen.clone())["action_value"], expected)
 
 
 def test_shipped_policies_can_be_made_symmetric_and_baselines_cannot():
     assert load_policy("pretrained:S", symmetric=True).module[0].module.symmetric
     assert find_policy("pretrained:S", symmetric=True)[0].module[0].module.symmetric
     assert not load_policy("pretrained:S").module[0].module.symmetric
-    with pytest.raises(RunError, match=r"reactive is a baseline, .*: leave --symmetric out"):
-        find_policy("reactive", symmetric=True)
+    for wanted in (True, False):
+        with pytest.raises(RunError, match=r"reactive is a baseline, .*: leave --symmetric out"):
+            find_policy("reactive", symmetric=wanted)
 
 
 def test_a_directory_without_a_run_is_named(tmp_path):
