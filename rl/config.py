@@ -58,8 +58,7 @@ class Experiment:
 
     preset: Literal["fast", "memoryless", "thesis"] = "memoryless"
     """Where the other settings start from: "fast" reaches most goals soonest, with a robot that remembers what it has
-    passed; "memoryless" learns longer and more cautiously, from the thesis's inputs alone; "thesis" is Weideman's
-    experiment."""
+    passed; "memoryless" learns longer, from the thesis's inputs alone; "thesis" is Weideman's experiment."""
     model: Model = "I"
     """How the network gets the heading: "I" as a fifth image plane, "S" as a scalar beside the image's features."""
     inputs: tuple[Input, ...] = ("depth", "heading")
@@ -393,10 +392,7 @@ PRESETS: dict[str, TrainConfig] = {
         inputs=("depth", "heading", "command", "surroundings"),
         depth_scale="inverse",
         symmetric=False,
-        world=("generate:clutter,density=0.11,count=400",),
         total_steps=100_000,
-        margin=0.0,
-        rearrangements=100,
         steps_per_update=8.0,
         epsilon_end=0.3,
         epsilon_steps=25_000,

@@ -121,6 +121,7 @@ def results_page(runs: Sequence[dict[str, Any]], baselines: dict[str, Any], thes
         "",
         "SPL should be at least 0.93 of success. The planning oracle, which has the map and drives by the same",
         f"rules, has {of_complex} in `complex_eval` and {of_unseen} in the unseen rooms.",
+        *_networks_alone(by_row),
         "",
         f"The best variant is `{VARIANT}`, which `make train` trains: D3QN-I, {ROWS[VARIANT].what}.",
         "",
@@ -176,6 +177,24 @@ def _measured(runs: Sequence[dict[str, Any]], place: str) -> list[str]:
         ", ".join(f"{rate:.1f}" if place == UNSEEN else f"{rate:.0f}" for rate in rates),
         f"{mean - min(rates):.1f}",
         f"{spl / mean:.2f}" if mean else "–",
+    ]
+
+
+def _networks_alone(by_row: dict[str, list[dict[str, Any]]]) -> list[str]:
+    """What the networks of symmetric policies do without the mirror image, as a paragraph."""
+    told = []
+    for name, row in (("D3QN-I", "base"), ("D3QN-S", "S")):
+        runs = [run for run in by_row[row] if "alone" in run]
+        if not runs or len(runs) < len(by_row[row]):
+            continue
+        means = [100 * statistics.fmean(run["alone"][place]["success_rate"] for run in runs) for place in PLACES]
+        told.append(f"{name} {means[0]:.1f} in `complex_eval` and {means[1]:.1f} in the unseen rooms")
+    if not told:
+        return []
+    return [
+        "",
+        "With depth and heading only, policies are symmetric ([measurements.md](measurements.md#a-symmetric-policy)).",
+        f"The same weights alone reach, in percent: {'; '.join(told)}.",
     ]
 
 

@@ -45,8 +45,8 @@ def test_fast_is_the_default_and_sees_more_and_learns_shorter_than_memoryless():
     assert (memoryless.inputs, memoryless.depth_scale) == (("depth", "heading"), "linear")
     different = {name for name, value in fast.to_dict().items() if value != memoryless.to_dict()[name]}
     assert different == {
-        *("preset", "inputs", "depth_scale", "symmetric", "world", "rearrangements", "margin", "n_step"),
-        *("steps_per_update", "total_steps", "epsilon_end", "epsilon_steps", "eval_interval", "checkpoint_interval"),
+        *("preset", "inputs", "depth_scale", "symmetric", "n_step", "steps_per_update"),
+        *("total_steps", "epsilon_end", "epsilon_steps", "eval_interval", "checkpoint_interval"),
     }
     updates = [config.total_steps / config.steps_per_update for config in (fast, memoryless)]
     assert updates == [12_500, 25_000]

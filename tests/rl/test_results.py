@@ -49,6 +49,15 @@ def test_means_seeds_and_times_are_those_of_the_runs():
     assert "has 0.94 in `complex_eval` and 0.90 in the unseen rooms" in page
 
 
+def test_the_networks_of_symmetric_policies_are_told_alone_where_all_are_known():
+    runs = [run("base", seed, 0.9, 0.95) for seed in (0, 1)] + [run("S", seed, 0.8, 0.9) for seed in (0, 1)]
+    assert "weights alone" not in results_page(runs, BASELINES, "")
+    for one, alone in zip(runs[:3], (0.86, 0.88, 0.5), strict=True):
+        one["alone"] = run("", 0, alone, alone + 0.05)["final"]
+    page = " ".join(results_page(runs, BASELINES, "").split())
+    assert "alone reach, in percent: D3QN-I 87.0 in `complex_eval` and 92.0 in the unseen rooms. " in page
+
+
 def test_what_was_not_run_is_said():
     page = results_page([], BASELINES, "table 6.1")
     assert rows(page, "D3QN-S, depth and heading only")[0][5:] == ["not run yet", "", "", ""]

@@ -51,6 +51,7 @@ def test_the_card_tells_what_the_packed_file_does(run, tmp_path, weights):
     assert f"18,000 steps (1 h of robot time) in 2 min of processor time ({processor()})" in card
     assert "four depth images, the goal's direction and its own command (v, ω);" in card
     assert "It remembers nothing but its four images" in card
+    assert "It goes by the mean of its network's values for what it sees and for the mirror image" in card
     assert ("the last of the run" in card) == (weights == "last")
     for part in ("Trained", "Results", "Limits"):
         assert f"## {part}" in card
@@ -58,7 +59,7 @@ def test_the_card_tells_what_the_packed_file_does(run, tmp_path, weights):
 
 def test_the_card_of_a_robot_that_remembers_tells_what_that_needs(run, tmp_path):
     inputs = ("depth", "heading", "command", "surroundings")
-    remembering = Run.create(tiny_config(tmp_path / "remembering", model="S", inputs=inputs))
+    remembering = Run.create(tiny_config(tmp_path / "remembering", model="S", inputs=inputs, symmetric=False))
     remembering.save_policy("policy_last", make_actor(remembering.config).state_dict())
     remembering.evaluations.append(run.evaluations.rows()[0] | {"step": 256})  # of 512: it was interrupted
     (remembering.directory / "versions.json").write_text("{}")
@@ -66,5 +67,6 @@ def test_the_card_of_a_robot_that_remembers_tells_what_that_needs(run, tmp_path)
     assert "its own command (v, ω) and what it remembers of what stood around it (odometry);" in card
     assert "It remembers what it has seen for six seconds" in card
     assert "nothing but its four images" not in card
+    assert "mirror image" not in card
     assert "processor time (unknown)" in card
     assert "256 of these steps" in card
