@@ -14,10 +14,12 @@ from pathlib import Path
 import pytest
 import torch
 from rich.console import Console
-from small_runs import HALL, small_config
+from small_runs import HALL, small_config, tiny_config
 
 from navsim.camera import DepthCamera
 from rl.config import PRESETS
+from rl.evaluation import evaluate_as_trained
+from rl.policies import load_policy
 from rl.run import EVALUATIONS, METRICS, Run, RunError
 from rl.train import train
 
@@ -60,6 +62,20 @@ def test_the_same_seed_gives_the_same_run(tmp_path, settings):
     assert [[row[key] for key in kept] for row in first.metrics.rows()] == [
         [row[key] for key in kept] for row in second.metrics.rows()
     ]
+
+
+@pytest.mark.parametrize("symmetric", [False, True])
+def test_evaluations_drive_by_what_is_loaded_afterwards(tmp_path, monkeypatch, symmetric):
+    driven = []
+
+    def evaluate(policy, *arguments, **settings):
+        driven.append(policy.module[0].module.symmetric)
+        return evaluate_as_trained(policy, *arguments, **settings)
+
+    monkeypatch.setattr("rl.train.evaluate_as_trained", evaluate)
+    run = train(tiny_config(tmp_path / "run", symmetric=symmetric), console=Console(quiet=True))
+    assert driven
+    assert set(driven) == {symmetric} == {load_policy(run.directory).module[0].module.symmetric}
 
 
 def test_a_finished_run_is_not_overwritten(run):
