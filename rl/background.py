@@ -265,7 +265,13 @@ class BackgroundCollector(AsyncCollector):
             how = f"ended with exit code {code}"
         if text:
             return f"the collecting process {how}:\n{text}"
-        return f"the collecting process {how}, without saying why; was it killed, or the memory exhausted?"
+        guess = "was it killed, or the memory exhausted?"
+        if not self._is_at_work and code is not None and code > 0:  # the program it begins with has failed there
+            guess = (
+                "it imports your script; if that trains when it is imported, put what it does below "
+                '`if __name__ == "__main__":`'
+            )
+        return f"the collecting process {how}, without saying why; {guess}"
 
     def _last_words(self) -> str:
         """What the process has written before it ended."""

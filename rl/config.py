@@ -181,8 +181,8 @@ class Learning:
     """Number format of the networks' multiplications; "auto" measures which is faster here."""
     device: Literal["cpu", "cuda"] = "cpu"
     """Where the learner's networks are; robots are simulated, and their policy evaluated, on the CPU."""
-    num_threads: int | None = None
-    """CPU threads for the learner's networks. None: 2, or 1 beside an asynchronous collector, which has its own."""
+    num_threads: int = 2
+    """CPU threads for the learner's networks; an asynchronous collector has one of its own besides."""
 
 
 @dataclass(frozen=True)
@@ -230,7 +230,7 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
         positive = (
             "total_steps num_envs steps_per_batch steps_per_update n_step batch_size replay_capacity learning_rate"
             " hard_update_interval steps_per_handover worker_timeout epsilon_steps eval_interval log_interval"
-            " checkpoint_interval frame_interval"
+            " checkpoint_interval frame_interval num_threads"
         )
         for name in positive.split():
             value = getattr(self, name)
@@ -241,8 +241,6 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
         for name in ("gamma", "epsilon_start", "epsilon_end", "tau"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 yield f"--{_flag(name)} must lie between 0 and 1; got {getattr(self, name)}"
-        if self.num_threads is not None and self.num_threads < 1:
-            yield f"--num-threads must be positive, or None; got {self.num_threads}"
         if self.seed < 0:
             yield f"--seed must not be negative; got {self.seed}"
         if not self.world:
@@ -331,11 +329,6 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
         return dataclasses.replace(self.robot, radius=self.robot.radius + self.margin)
 
     @property
-    def learner_threads(self) -> int:
-        """CPU threads for the networks."""
-        return self.num_threads or (1 if self.collector == "async" else 2)
-
-    @property
     def directory(self) -> Path:
         """Where the run's files go."""
         if self.out is not None:
@@ -371,6 +364,8 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
                 values[name] = tuple(values[name])
         if values.get("out") is not None:
             values["out"] = Path(values["out"])
+        if "num_threads" in values and values["num_threads"] is None:  # earlier versions' way to say what is default
+            del values["num_threads"]
         return cls(**values)
 
 

@@ -85,7 +85,7 @@ def _train(config: TrainConfig, run: Run, resume: bool, console: Console) -> Run
     if "RL_LOGGING_LEVEL" not in os.environ:
         torchrl.logger.setLevel("WARNING")  # it would tell of every buffer that it allocates
     keep_freed_memory()
-    torch.set_num_threads(config.learner_threads)
+    torch.set_num_threads(config.num_threads)
     torch.manual_seed(config.seed)
     random.seed(config.seed)
     if config.autocast == "auto":

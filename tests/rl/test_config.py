@@ -85,6 +85,11 @@ def test_runs_from_before_there_was_a_margin_or_a_symmetric_policy_had_none():
     assert TrainConfig.from_dict(written) == replace(PRESETS["memoryless"], margin=0.0, symmetric=False)
 
 
+def test_runs_whose_number_of_threads_was_left_open_have_the_default():
+    written = PRESETS["fast"].to_dict() | {"num_threads": None}
+    assert TrainConfig.from_dict(written) == PRESETS["fast"]
+
+
 def test_every_setting_belongs_to_one_group_of_the_help():
     groups = [Experiment, Collection, Learning, Exploration, Records]
     grouped = [setting.name for group in groups for setting in dataclasses.fields(group)]

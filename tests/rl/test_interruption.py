@@ -14,6 +14,7 @@ import resource
 import shutil
 import signal
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -372,6 +373,23 @@ def test_an_asynchronous_run_whose_process_is_killed_goes_on_with_another(tmp_pa
     assert "another one has taken its place" in said
     assert run.metrics.rows()[-1]["step"] == "512"
     assert not multiprocessing.active_children()
+
+
+def test_a_script_that_trains_wherever_it_is_imported_is_told_how_to_be_written(tmp_path):
+    """The collector's process imports the script, as every process does that is not forked."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from rl.background import BackgroundCollector\n"
+        "from rl.env import NavEnv\n"
+        "from rl.networks import make_q_actor\n"
+        "env, policy = NavEnv('complex_train', 1), make_q_actor()\n"
+        "BackgroundCollector(env, policy, seed=0, frames_per_batch=1, total_frames=1)\n"
+    )
+    finished = subprocess.run([sys.executable, script], capture_output=True, text=True)
+    assert finished.returncode == 1
+    last = finished.stderr.splitlines()[-1]
+    assert last.startswith("rl.background.CollectorError: the collecting process ended with exit code 1")
+    assert 'put what it does below `if __name__ == "__main__":`' in last
 
 
 def test_a_finished_run_whose_checkpoints_were_removed_stays_as_it_is(tmp_path, uninterrupted):
