@@ -50,6 +50,11 @@ _INPUTS = (("blind", "D3QN-I, heading only"), ("depth-only", "D3QN-I, depth only
 _TIMED = (("D3QN-I", "base"), ("D3QN-S", "S"), ("best variant", VARIANT), ("its D3QN-S", f"S-{VARIANT}"))
 _NAMES = {COMPLEX: "`complex_eval`, 100 paths", UNSEEN: f"200 unseen rooms, {UNSEEN_PATHS:,} paths"}
 
+_NOT_RUN = """\
+Not run yet: `python scripts/reproduce.py`. With 80x64 images, two runs at once on two cores, one takes an hour and a
+half of an EPYC "Genoa" (80 steps a second), and three to four of a "Naples" (26 to 34).
+"""
+
 
 def drive_baselines(path: Path, console: Console | None = None) -> dict[str, Any]:
     """What the baselines reach in the same rooms; from the file, if it is there, as they do not change.
@@ -84,7 +89,7 @@ def write_results(results: Path, page: Path, console: Console | None = None) -> 
     text = results_page(
         runs,
         drive_baselines(results / "baselines.json", console),
-        tables.read_text(encoding="utf-8") if tables.exists() else "Not run yet.\n",
+        tables.read_text(encoding="utf-8") if tables.exists() else _NOT_RUN,
     )
     with atomic_write(page) as file:
         file.write(text)
@@ -120,7 +125,8 @@ def results_page(runs: Sequence[dict[str, Any]], baselines: dict[str, Any], thes
     lines += [
         "",
         "SPL should be at least 0.93 of success. The planning oracle, which has the map and drives by the same",
-        f"rules, has {of_complex} in `complex_eval` and {of_unseen} in the unseen rooms.",
+        f"rules, has {of_complex} in `complex_eval` and {of_unseen} in the unseen rooms; [measurements.md]"
+        "(measurements.md#where-paths-are-longer-than-they-need-be) tells where it is lost.",
         *_networks_alone(by_row),
         "",
         f"The best variant is `{VARIANT}`, which `make train` trains: D3QN-I, {ROWS[VARIANT].what}.",

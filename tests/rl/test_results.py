@@ -82,4 +82,4 @@ def test_baselines_are_driven_once(tmp_path, monkeypatch):
     write_results(tmp_path, tmp_path / "results.md")
     page = (tmp_path / "results.md").read_text(encoding="utf-8")
     assert "**50.0**" in page
-    assert "Not run yet." in page
+    assert "Not run yet: `python scripts/reproduce.py`" in page
