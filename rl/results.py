@@ -52,7 +52,8 @@ _NAMES = {COMPLEX: "`complex_eval`, 100 paths", UNSEEN: f"200 unseen rooms, {UNS
 
 _NOT_RUN = """\
 Not run yet: `python scripts/reproduce.py`. With 80x64 images, two runs at once on two cores, one takes an hour and a
-half of an EPYC "Genoa" (80 steps a second), and three to four of a "Naples" (26 to 34).
+half of an EPYC "Genoa" (80 steps a second), and three to four of a "Naples" (26 to 34); with 160x128 images, ten of the
+latter (10.8).
 """
 
 

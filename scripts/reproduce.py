@@ -3,8 +3,8 @@
 Runs {D3QN-I, D3QN-S} x {80x64, 160x128} x {simple, complex} x seeds with the preset "thesis", and writes the tables
 and figures of the thesis. It may be interrupted at any point: what is finished is skipped, what is not goes on. With
 80x64 images, two runs at once on two cores, a run takes an hour and a half of an EPYC "Genoa" (80 steps a second) and
-three to four of a "Naples" (26 to 34); so run two of these commands at once, such as --models I and --models S.
-Afterwards scripts/results.py puts the tables into docs/results.md.
+three to four of a "Naples" (26 to 34), with 160x128 images ten of the latter (10.8); so run two of these commands at
+once, such as --models I and --models S. Afterwards scripts/results.py puts the tables into docs/results.md.
 """
 
 import sys
