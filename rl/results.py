@@ -50,11 +50,7 @@ _INPUTS = (("blind", "D3QN-I, heading only"), ("depth-only", "D3QN-I, depth only
 _TIMED = (("D3QN-I", "base"), ("D3QN-S", "S"), ("best variant", VARIANT), ("its D3QN-S", f"S-{VARIANT}"))
 _NAMES = {COMPLEX: "`complex_eval`, 100 paths", UNSEEN: f"200 unseen rooms, {UNSEEN_PATHS:,} paths"}
 
-_NOT_RUN = """\
-Not run yet: `python scripts/reproduce.py`. With 80x64 images, two runs at once on two cores, one takes an hour and a
-half of an EPYC "Genoa" (80 steps a second), and three to four of a "Naples" (26 to 34); with 160x128 images, ten of the
-latter (10.8).
-"""
+_NOT_RUN = "Not run yet: `python scripts/reproduce.py`, whose `--help` tells how long that takes.\n"
 
 
 def drive_baselines(path: Path, console: Console | None = None) -> dict[str, Any]:

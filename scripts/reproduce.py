@@ -1,10 +1,7 @@
 """The thesis's experiment: python scripts/reproduce.py --help
 
 Runs {D3QN-I, D3QN-S} x {80x64, 160x128} x {simple, complex} x seeds with the preset "thesis", and writes the tables
-and figures of the thesis. It may be interrupted at any point: what is finished is skipped, what is not goes on. With
-80x64 images, two runs at once on two cores, a run takes an hour and a half of an EPYC "Genoa" (80 steps a second) and
-three to four of a "Naples" (26 to 34), with 160x128 images ten of the latter (10.8); so run two of these commands at
-once, such as --models I and --models S. Afterwards scripts/results.py puts the tables into docs/results.md.
+and figures of the thesis. Afterwards scripts/results.py puts the tables into docs/results.md.
 """
 
 import sys
@@ -28,6 +25,12 @@ def reproduce(
     results: Path = Path("docs/results/reproduce"),
 ) -> None:
     """Run the thesis's experiment, or a part of it, and write its tables 6.1 to 6.4 and figures 6.1 to 6.11.
+
+    It may be interrupted at any point: what is finished is skipped, what is not goes on.
+
+    With 80x64 images, two runs at once on two cores, a run takes an hour and a half of an EPYC "Genoa" (80 steps a
+    second) and three to four of a "Naples" (26 to 34); with 160x128 images, ten of the latter (10.8). So run two of
+    these commands at once, such as --models I and --models S.
 
     Args:
         models: Networks to train.
