@@ -37,7 +37,7 @@ FORMATS: tuple[NumberFormat, ...] = ("float32", "bfloat16")
 _ROUNDS = 7
 _SECONDS_A_ROUND = 0.4
 _MATRIX = 1024
-_STABLE_BASELINES = "SB3 (ratio)"
+_STABLE_BASELINES = "SB3, float32"
 
 
 class Measurement(NamedTuple):
@@ -49,10 +49,12 @@ class Measurement(NamedTuple):
     """``D3QNLoss`` with ``make_q_actor``"""
     peer: float
     """TorchRL's ``DQNLoss`` with ``DuelingCnnDQNet``"""
+    peer_in_float32: float
+    """the same, whatever the format"""
     bound: float
     """if all operations of the peer's update ran as fast as a large product of matrices"""
     other_peers: dict[str, float]
-    """of other libraries"""
+    """of other libraries, in float32"""
 
     @property
     def roofline_share(self) -> float:
@@ -71,8 +73,8 @@ def run(
 ) -> list[Measurement]:
     """Prints updates a second: loss, gradients, Adam and soft target update, without the replay.
 
-    Ours and the peer take turns, round by round, and medians are compared, so that a machine that gets busy meanwhile
-    does not favour either.
+    Ours and the peers, in both formats, take turns, round by round, and medians are compared, so that a machine that
+    gets busy meanwhile does not favour any.
 
     Args:
         console: where to.
@@ -85,15 +87,15 @@ def run(
     keep_freed_memory()
     torch.set_num_threads(num_threads)
     camera = DepthCamera(width=width, height=height)
-    settings = [(size, number_format) for size in BATCH_SIZES for number_format in FORMATS]
     measured = []
-    for size, number_format in track(
-        settings, "learning", console=console, transient=True, disable=not console.is_terminal
-    ):
-        measured.append(_compare(size, number_format, seconds, camera, peers=peers))
+    for size in track(BATCH_SIZES, "learning", console=console, transient=True, disable=not console.is_terminal):
+        measured += _compare(size, seconds, camera, peers=peers)
     threads = "one thread" if num_threads == 1 else f"{num_threads} threads"
     console.print(f"[bold]updates a second[/bold] of model I, {width}x{height}, {threads}, {processor()}")
     console.print(_table(measured))
+    console.print(
+        "DQNLoss is TorchRL's, with a network written in the obvious way; in parentheses, D3QNLoss's ratio to it"
+    )
     console.print(
         "roofline: share of the speed that the operations of DQNLoss's update would have at that of products of "
         f"{_MATRIX}x{_MATRIX} matrices, measured in turn with them"
@@ -101,27 +103,39 @@ def run(
     return measured
 
 
-def _compare(
-    batch_size: int, number_format: NumberFormat, seconds: float, camera: DepthCamera, *, peers: bool
-) -> Measurement:
-    config = dataclasses.replace(CONFIG, autocast=number_format, camera=camera)
-    sample = random_sample(batch_size, config.camera)
-    learner, peer = Learner(config), PeerLearner(config)
-    contestants: list[Callable[[], object]] = [
-        lambda: learner.update(sample.copy()),
-        lambda: peer.update(sample.copy()),
-        _product(number_format),
-    ]
-    names = []
-    if peers and number_format == "float32":
-        names.append(_STABLE_BASELINES)
-        contestants.append(stable_baselines_update(sample, config))
-    for update in contestants:
+def _compare(batch_size: int, seconds: float, camera: DepthCamera, *, peers: bool) -> list[Measurement]:
+    config = dataclasses.replace(CONFIG, camera=camera)
+    sample = random_sample(batch_size, camera)
+    contestants: dict[tuple[str, str], Callable[[], object]] = {}
+    for number_format in FORMATS:
+        setting = dataclasses.replace(config, autocast=number_format)
+        contestants["ours", number_format] = _updates(Learner(setting), sample)
+        contestants["peer", number_format] = _updates(PeerLearner(setting), sample)
+        contestants["product", number_format] = _product(number_format)
+    if peers:
+        contestants[_STABLE_BASELINES, "float32"] = stable_baselines_update(sample, config)
+    for update in contestants.values():
         _rate(update, seconds)
-    rates = [[_rate(update, seconds) for update in contestants] for _ in range(_ROUNDS)]
-    ours, theirs, products, *others = (statistics.median(column) for column in zip(*rates, strict=True))
-    bound = products * 2.0 * _MATRIX**3 / peer.operations(sample)
-    return Measurement(batch_size, number_format, ours, theirs, bound, dict(zip(names, others, strict=True)))
+    rounds = [[_rate(update, seconds) for update in contestants.values()] for _ in range(_ROUNDS)]
+    rates = dict(zip(contestants, map(statistics.median, zip(*rounds, strict=True)), strict=True))
+    products_an_update = PeerLearner(config).operations(sample) / (2.0 * _MATRIX**3)
+    others = {_STABLE_BASELINES: rates[_STABLE_BASELINES, "float32"]} if peers else {}
+    return [
+        Measurement(
+            batch_size,
+            number_format,
+            ours=rates["ours", number_format],
+            peer=rates["peer", number_format],
+            peer_in_float32=rates["peer", "float32"],
+            bound=rates["product", number_format] / products_an_update,
+            other_peers=others,
+        )
+        for number_format in FORMATS
+    ]
+
+
+def _updates(learner: Learner | PeerLearner, sample: TensorDict) -> Callable[[], object]:
+    return lambda: learner.update(sample.copy())
 
 
 def random_sample(batch_size: int, camera: DepthCamera) -> TensorDict:
@@ -322,19 +336,15 @@ def _product(number_format: NumberFormat) -> Callable[[], object]:
 def _table(measured: list[Measurement]) -> Table:
     others = sorted({name for row in measured for name in row.other_peers})
     table = Table()
-    for heading in ("batch", "format", "D3QNLoss", "roofline", "TorchRL's DQNLoss", "ratio", *others):
+    for heading in ("batch", "format", "D3QNLoss", "roofline", "DQNLoss", "in float32", *others):
         table.add_column(heading, justify="left" if heading == "format" else "right")
     for row in measured:
+        peers = [row.peer, row.peer_in_float32, *(row.other_peers[name] for name in others)]
         table.add_row(
             str(row.batch_size),
             row.number_format,
             f"{row.ours:,.1f}",
             f"{row.roofline_share:.0%}" if row.number_format == "float32" else "",
-            f"{row.peer:,.1f}",
-            f"{row.ours / row.peer:.2f}",
-            *(
-                f"{row.other_peers[n]:,.1f} ({row.ours / row.other_peers[n]:.2f})" if n in row.other_peers else ""
-                for n in others
-            ),
+            *(f"{rate:,.1f} ({row.ours / rate:.2f})" for rate in peers),
         )
     return table

@@ -20,8 +20,9 @@ from torchrl.data import Categorical
 from torchrl.modules import QValueActor
 
 from navsim.robot import NUM_ACTIONS
+from rl.joint import hidden_of_update
 from rl.loss import D3QNLoss
-from rl.networks import D3QN, STREAM_WIDTH, hidden_of_update
+from rl.networks import D3QN, STREAM_WIDTH
 from rl.observation import DEPTH_AND_HEADING, DepthScale, HeadingInit, Input, Model, keys_of
 
 

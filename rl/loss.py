@@ -15,7 +15,8 @@ from torch import Tensor, nn
 from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss, ValueEstimators, distance_loss
 
-from rl.networks import D3QN, hidden_of_update
+from rl.joint import hidden_of_update
+from rl.networks import D3QN
 
 
 class D3QNLoss(DQNLoss):
@@ -30,7 +31,7 @@ class D3QNLoss(DQNLoss):
     limit ended is ``truncated``, not ``terminated``, so its last observation is bootstrapped from.
 
     What ``DQNLoss`` spends beside the networks (copies of tensordicts, ``step_mdp``, actions nobody reads, gradients
-    through nothing) is gone, and ``rl.networks.hidden_of_update`` passes s and s' through a ``D3QN`` in fewer products.
+    through nothing) is gone, and ``rl.joint.hidden_of_update`` passes s and s' through a ``D3QN`` in fewer products.
 
     Like ``DQNLoss``, it writes the squared error into the tensordict as ``td_error``, ``(B, 1)``, the priority of
     prioritised replay, and weighs samples by their ``priority_weight`` if they have one. Unlike it, it also writes

@@ -23,7 +23,7 @@ Some things are computed differently from how they are written above, and give t
   conv1's fifth channel to a plane of ones, which depends on the weights only.
 - The images' division by 255 is done on conv1's weights, so that 8-bit images enter as they are; every value from 0 to
   255 is exact in bfloat16, too. Inverted depth is computed of a few images at a time, which are in the cache.
-- ``hidden_of_update`` judges what an update of double Q-learning needs in fewer, larger products.
+- ``rl.joint`` judges what an update of double Q-learning needs in fewer, larger operations.
 
 docs/performance.md tells what each of these gives, and what was tried besides.
 """
@@ -32,7 +32,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from typing import Any, NamedTuple, get_args
 
 import torch
@@ -323,83 +323,51 @@ class D3QN(nn.Module):
 
     def _features(self, response: Tensor, scalars: Tensor) -> Tensor:
         """What the streams see, ``(B, n)``, of conv1's ``response`` to the images, ``(B·H'·W', 32)`` without bias."""
-        batch, dtype, heading = len(scalars), response.dtype, scalars[:, :1]
-        offsets, shares = self.conv1.bias.expand(len(response) // batch, -1).flatten(), torch.ones_like(heading)
-        if self.model == "I":
-            offsets, shares = torch.stack([offsets, self._plane_response()]), torch.cat([shares, heading], dim=1)
-        features = torch.addmm(
-            response.reshape(batch, -1), shares.to(dtype), offsets.view(-1, offsets.shape[-1]).to(dtype)
-        )
-        features = F.relu_(features).view(batch, *self.conv1.output_size, -1).permute(0, 3, 1, 2)
-        features = F.relu_(self.conv3(F.relu_(self.conv2(features)))).permute(0, 2, 3, 1).flatten(1)
-        appended = scalars[:, 1:] if self.model == "I" else scalars
+        batch, dtype = len(scalars), response.dtype
+        maps = torch.addmm(response.reshape(batch, -1), self._shares(scalars).to(dtype), self._offsets().to(dtype))
+        maps = F.relu_(maps).view(batch, *self.conv1.output_size, -1).permute(0, 3, 1, 2)
+        features = F.relu_(self.conv3(F.relu_(self.conv2(maps)))).permute(0, 2, 3, 1).flatten(1)
+        appended = self._appended(scalars)
         return torch.cat([features, appended.to(dtype)], dim=1) if appended.shape[1] else features
 
-    def _streams(self, features: Tensor, passengers: Tensor | None = None) -> Tensor:
-        weight, bias = self.streams.weight.to(features.dtype), self.streams.bias.to(features.dtype)
-        return F.relu_(_Streams.apply(features, passengers, weight, bias))
+    def _offsets(self) -> Tensor:
+        """What conv1's response lacks, ``(n, H'·W'·32)``, to be added in these ``_shares``: its bias and, for D3QN-I,
+        its heading channel's response to a plane of ones."""
+        rows, columns = self.conv1.output_size
+        bias = self.conv1.bias.expand(1, rows * columns, -1)
+        if self.model == "S":
+            return bias.flatten(1)
+        of_plane = self._coverage @ self.conv1.weight[:, NUM_FRAMES].flatten(1).t()
+        return torch.cat([bias, of_plane.unsqueeze(0)]).flatten(1)
 
-    def _plane_response(self) -> Tensor:
-        """Response of conv1's heading channel to a plane of ones, ``(H'·W'·32,)``."""
-        return (self._coverage @ self.conv1.weight[:, NUM_FRAMES].flatten(1).t()).flatten()
+    def _shares(self, scalars: Tensor) -> Tensor:
+        """How much of each of the ``_offsets`` there is, ``(B, n)``."""
+        ones = scalars.new_ones(len(scalars), 1)
+        return ones if self.model == "S" else torch.cat([ones, scalars[:, :1]], dim=1)
+
+    def _appended(self, scalars: Tensor) -> Tensor:
+        """What the streams see beside the images' features, ``(B, n)``."""
+        return scalars if self.model == "S" else scalars[:, 1:]
+
+    def _streams(self, features: Tensor) -> Tensor:
+        weight, bias = self.streams.weight.to(features.dtype), self.streams.bias.to(features.dtype)
+        return F.relu_(_Streams.apply(features, weight, bias))
 
 
 class _Streams(torch.autograd.Function):
-    """``weight @ rows.T + bias``, with gradients through the first rows only; the others come for the ride."""
+    """``weight @ features.T + bias``."""
 
     @staticmethod
-    def forward(ctx: Any, features: Tensor, passengers: Tensor | None, weight: Tensor, bias: Tensor) -> Tensor:
+    def forward(ctx: Any, features: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
         ctx.save_for_backward(features, weight)
-        rows = features if passengers is None else torch.cat([features, passengers])
-        return torch.addmm(bias.unsqueeze(1), weight, rows.t())
+        return torch.addmm(bias.unsqueeze(1), weight, features.t())
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         features, weight = ctx.saved_tensors
-        gradient = gradient[:, : len(features)].contiguous()
         # "weight.T @ gradient" would be the same, and with 8 samples takes MKL eight times as long on an AMD processor
-        return gradient.t() @ weight, None, gradient @ features, gradient.sum(1)
-
-
-def hidden_of_update(
-    online: D3QN,
-    target: D3QN,
-    observation: Sequence[Tensor],
-    next_observation: Sequence[Tensor],
-    *,
-    double: bool,
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Hidden layers for an update of (double) Q-learning.
-
-    The same as ``online.hidden(s)``, ``target.hidden(s')`` and ``online.hidden(s')``, of which only the first is
-    differentiable: conv1 sees s' once for both networks, and the online network's streams see s and s' together.
-
-    Args:
-        online: the network that learns.
-        target: the network that tells what s' is worth.
-        observation: what they see of B states s, in the order of ``rl.observation.keys_of``.
-        next_observation: of as many states s'.
-        double: whether the online network judges s' as well.
-
-    Returns:
-        online of s, target of s' and, equal to the second unless ``double``, online of s', each ``(1024, B)``.
-    """
-    (depth, scalars), (next_depth, next_scalars) = online._flat(*observation), online._flat(*next_observation)
-    networks = (target, online) if double else (target,)
-    with torch.no_grad():
-        kernels = [network._byte_kernel() for network in networks]
-        responses = online._response(next_depth, torch.cat(kernels))
-        next_features = [
-            network._features(response, next_scalars)
-            for network, response in zip(networks, responses.split(len(kernels[0]), dim=1), strict=True)
-        ]
-        next_hidden = target._streams(next_features[0])
-    features = online._features(online._response(depth, online._byte_kernel()), scalars)
-    if not double:
-        return online._streams(features), next_hidden, next_hidden
-    both = online._streams(features, next_features[1])
-    return both[:, : len(depth)], next_hidden, both[:, len(depth) :].detach()
+        return gradient.t() @ weight, gradient @ features, gradient.sum(1)
 
 
 def _coverage(convolution: _Convolution, height: int, width: int) -> Tensor:

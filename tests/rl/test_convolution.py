@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 import pytest
 import torch
 from torch.nn import functional as F
 
 from rl import convolution
-from rl.convolution import Geometry, convolve, convolve_bytes, patches, sum_patches
+from rl.convolution import Geometry, Way, convolve, convolve_bytes, patches, sum_patches
 
 GEOMETRIES = [
     ((9, 11), Geometry((4, 4), 2, (1, 1), (1, 1), (4, 5))),
@@ -17,10 +19,10 @@ GEOMETRIES = [
 ]
 
 
-@pytest.fixture(params=["products", "PyTorch's own"])
+@pytest.fixture(params=get_args(Way))
 def _way(request, monkeypatch):
-    """Both ways, whatever this processor's is."""
-    monkeypatch.setattr(convolution, "by_products", lambda device: request.param == "products")
+    """Every way, whatever this processor's is."""
+    monkeypatch.setattr(convolution, "fastest_way", lambda device, dtype: request.param)
 
 
 def padded(images: torch.Tensor, geometry: Geometry) -> torch.Tensor:
@@ -70,9 +72,18 @@ def test_summing_patches_is_the_transpose_of_taking_them(size, geometry):
 
 
 @pytest.mark.parametrize(
-    ("capability", "expected"), [("AVX512", False), ("AVX2", True), ("DEFAULT", True), ("NO AVX", True)]
+    ("capability", "amx", "in_float32", "in_bfloat16"),
+    [
+        ("AVX512", True, "library", "blocks"),
+        ("AVX512", False, "library", "library"),
+        ("AVX2", False, "products", "products"),
+        ("DEFAULT", False, "products", "products"),
+    ],
 )
-def test_the_way_is_chosen_by_the_processor(monkeypatch, capability, expected):
+def test_the_way_is_chosen_by_the_processor(monkeypatch, capability, amx, in_float32, in_bfloat16):
     monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: capability)
-    assert convolution.by_products(torch.device("cpu")) is expected
-    assert not convolution.by_products(torch.device("cuda"))
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"amx_bf16": amx}, raising=False)
+    processor, gpu = torch.device("cpu"), torch.device("cuda")
+    assert convolution.fastest_way(processor, torch.float32) == in_float32
+    assert convolution.fastest_way(processor, torch.bfloat16) == in_bfloat16
+    assert convolution.fastest_way(gpu, torch.bfloat16) == "library"

@@ -13,7 +13,7 @@ from tensordict import TensorDict
 from torch.nn import functional as F
 
 from rl.categorical import make_categorical_actor
-from rl.networks import D3QN, SameConv2d, hidden_of_update, make_q_actor, same_padding, symmetric_policy
+from rl.networks import D3QN, SameConv2d, make_q_actor, same_padding, symmetric_policy
 
 SIZES = [(64, 80), (10, 14), (61, 77), (33, 90)]
 """Heights and widths: one of the thesis's, the smallest, and two whose padding is not symmetric."""
@@ -313,40 +313,3 @@ def test_settings_that_cannot_be_used_are_refused():
     depth, heading = observations(2, height=80, width=64)
     with pytest.raises(ValueError, match=r"\(4, 64, 80\).*\(4, 80, 64\)"):
         network(depth, heading)
-
-
-@pytest.mark.parametrize("model", ["I", "S"])
-@pytest.mark.parametrize("double", [True, False])
-@pytest.mark.parametrize(("height", "width"), SIZES)
-@pytest.mark.parametrize("command", [False, True])
-@pytest.mark.parametrize("depth_scale", ["linear", "inverse"])
-def test_an_update_sees_the_hidden_layers_that_each_network_would_have(
-    model, double, height, width, command, depth_scale
-):
-    torch.manual_seed(0)
-    inputs = ("depth", "heading", "command") if command else ("depth", "heading")
-    online, target = (D3QN(model, height, width, inputs, depth_scale) for _ in range(2))
-    observation, next_observation = (
-        (*observations(11, height=height, width=width), *([torch.randn(11, 2)] if command else [])) for _ in range(2)
-    )
-
-    results = hidden_of_update(online, target, observation, next_observation, double=double)
-
-    expected = online.hidden(*observation), target.hidden(*next_observation), online.hidden(*next_observation)
-    for result, reference in zip(results, (*expected[:2], expected[1 + double]), strict=True):
-        torch.testing.assert_close(result, reference, rtol=1e-4, atol=1e-5)
-    assert not results[1].requires_grad
-    assert not results[2].requires_grad
-    weights = torch.randn_like(results[0])
-    trained = [
-        online.conv1.weight,
-        online.conv2.weight,
-        online.conv3.weight,
-        online.streams.weight,
-        online.streams.bias,
-    ]
-    pairs = zip(
-        *(torch.autograd.grad((hidden * weights).sum(), trained) for hidden in (results[0], expected[0])), strict=True
-    )
-    for gradient, reference in pairs:
-        torch.testing.assert_close(gradient, reference, rtol=1e-4, atol=1e-5 * float(reference.abs().max()))
