@@ -296,7 +296,8 @@ def _blocks(images: Tensor, geometry: Geometry, dtype: torch.dtype, nearest: flo
         inside[: len(portion)] = images[first : first + count]
         blocks = in_order[: len(portion)].contiguous().view(torch.uint8).view(portion.shape)
         if nearest is not None:
-            blocks = blocks.float().clamp_(min=nearest).reciprocal_().mul_(numerators)
+            blocks = blocks.float().clamp_(min=nearest)
+            torch.div(numerators, blocks, out=blocks)
         portion.copy_(blocks)
     return result
 
