@@ -103,9 +103,8 @@ def fastest_way(device: torch.device, dtype: torch.dtype) -> Way:
     """How convolutions in that format are done there."""
     if device.type != "cpu":
         return "library"
-    capabilities: Mapping[str, Any] = getattr(
-        torch.cpu, "get_capabilities", dict
-    )()  # not in every PyTorch that this works with
+    # Not every PyTorch that this works with can tell.
+    capabilities: Mapping[str, Any] = getattr(torch.cpu, "get_capabilities", dict)()
     if dtype == torch.bfloat16 and capabilities.get("amx_bf16", False):
         return "blocks"
     return "library" if torch.backends.cpu.get_cpu_capability() == "AVX512" else "products"
@@ -284,7 +283,7 @@ def _blocks(images: Tensor, geometry: Geometry, dtype: torch.dtype, nearest: flo
     rows, columns = _counts_of_blocks(geometry)
     (top, _), (left, _) = geometry.rows, geometry.columns
     result = images.new_empty(len(images), rows, columns, channels * _BLOCK * _BLOCK, dtype=dtype)
-    count = max(1, _BLOCKS // (rows * columns))
+    count = max(1, min(len(images), _BLOCKS // (rows * columns)))
     padded = images.new_zeros(count, channels, rows * _BLOCK, columns * _BLOCK)
     inside = padded[..., top : top + height, left : left + width]
     in_order = padded.view(torch.int64).view(count, channels, rows, _BLOCK, columns).permute(0, 2, 4, 1, 3)

@@ -47,8 +47,7 @@ def relative_error(values, reference):
 @pytest.mark.parametrize("model", ["I", "S"])
 @pytest.mark.parametrize("double", [True, False])
 @pytest.mark.parametrize(("height", "width"), SIZES)
-@pytest.mark.parametrize("command", [False, True])
-@pytest.mark.parametrize("depth_scale", ["linear", "inverse"])
+@pytest.mark.parametrize(("command", "depth_scale"), [(False, "linear"), (True, "inverse")])
 def test_an_update_sees_the_hidden_layers_that_each_network_would_have(
     change_way, model, double, height, width, command, depth_scale
 ):
