@@ -29,9 +29,8 @@ def reproduce(
     It may be interrupted at any point: what is finished is skipped, what is not goes on.
 
     With 80x64 images, two runs at once on two cores, a run takes an hour and a half of an EPYC "Genoa" (80 steps a
-    second) and three to four of a "Naples" (26 to 34) or of a Xeon "Emerald Rapids" that others used as well (30 to 57);
-    with 160x128 images, ten of a "Naples" (10.8). So run two of these commands at once, such as --models I and
-    --models S.
+    second) and two to four of a "Naples" (26 to 34) or of a busy Xeon "Emerald Rapids" (30 to 57); with 160x128 images,
+    ten of a "Naples" (10.8). So run two of these commands at once, such as --models I and --models S.
 
     Args:
         models: Networks to train.
