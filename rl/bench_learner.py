@@ -336,7 +336,7 @@ def _product(number_format: NumberFormat) -> Callable[[], object]:
 def _table(measured: list[Measurement]) -> Table:
     others = sorted({name for row in measured for name in row.other_peers})
     table = Table()
-    for heading in ("batch", "format", "D3QNLoss", "roofline", "DQNLoss", "in float32", *others):
+    for heading in ("batch", "format", "D3QNLoss", "roofline", "DQNLoss", "DQNLoss, float32", *others):
         table.add_column(heading, justify="left" if heading == "format" else "right")
     for row in measured:
         peers = [row.peer, row.peer_in_float32, *(row.other_peers[name] for name in others)]
