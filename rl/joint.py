@@ -1,8 +1,8 @@
 """What an update of double Q-learning needs of the online and the target network, in few operations.
 
 An update looks at s with the online network, and at s' with both. Beside the numbers it computes an operation costs
-some 10 µs, and the networks are small: with eight samples, layer by layer under autograd, these costs were half of an
-update's time on a processor with AMX. So here
+some 10 µs, and the networks are small: with eight samples, these costs are half of an update's time on a processor with
+AMX. So here
 
 - conv1 sees s' once, with both networks' kernels,
 - the online network's other layers see s and s' together, and

@@ -87,3 +87,9 @@ def test_the_way_is_chosen_by_the_processor(monkeypatch, capability, amx, in_flo
     assert convolution.fastest_way(processor, torch.float32) == in_float32
     assert convolution.fastest_way(processor, torch.bfloat16) == in_bfloat16
     assert convolution.fastest_way(gpu, torch.bfloat16) == "library"
+
+
+def test_a_pytorch_that_does_not_tell_of_amx_convolves_without_blocks(monkeypatch):
+    monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: "AVX512")
+    monkeypatch.delattr(torch.cpu, "get_capabilities", raising=False)
+    assert convolution.fastest_way(torch.device("cpu"), torch.bfloat16) == "library"
