@@ -20,6 +20,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from rich.console import Console
+from torchrl.modules import QValueActor
 
 from navsim.draw import INK, QUIET_INK, new_figure, save_figure
 from navsim.files import atomic_write
@@ -236,11 +237,8 @@ def _results_of(trained: Run, console: Console) -> dict[str, Any]:
     """A finished run's curves, and what its last weights do in rooms that it has not seen."""
     config, rows = trained.config, trained.evaluations.rows()
     alone, symmetric = (
-        {
-            place: rates_of(evaluate_as_trained(policy, config, world, num_paths=paths, console=console))
-            for place, (world, paths) in PLACES.items()
-        }
-        for policy in (load_policy(trained.directory, weights="last", symmetric=wanted) for wanted in (False, True))
+        rates_in_places(load_policy(trained.directory, weights="last", symmetric=wanted), config, console)
+        for wanted in (False, True)
     )
     return {
         "command": f"navsim train {shlex.join(arguments_of(config))}",
@@ -251,6 +249,14 @@ def _results_of(trained: Run, console: Console) -> dict[str, Any]:
         "final": symmetric if config.symmetric else alone,
         "alone": alone,
         "symmetric": symmetric,
+    }
+
+
+def rates_in_places(policy: QValueActor, config: TrainConfig, console: Console) -> dict[str, dict[str, float]]:
+    """What a policy reaches in each of ``PLACES``, of a run with these settings."""
+    return {
+        place: rates_of(evaluate_as_trained(policy, config, world, num_paths=paths, console=console))
+        for place, (world, paths) in PLACES.items()
     }
 
 

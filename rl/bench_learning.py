@@ -7,14 +7,17 @@ import json
 import statistics
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 from rich.console import Console
 from rich.table import Table
 
-from rl.config import DEFAULT_PRESET, PRESETS, TrainConfig
+from rl.ablations import COMPLEX, UNSEEN, rates_in_places
+from rl.config import DEFAULT_PRESET, PRESETS
 from rl.loss import fastest_autocast
-from rl.run import Run, processor, versions, write_json
+from rl.policies import load_policy
+from rl.run import Run
+from rl.series import Planned, run_series
 
 Collector = Literal["sync", "async"]
 Format = Literal["float32", "bfloat16"]
@@ -27,92 +30,102 @@ class Setting(NamedTuple):
     number_format: Format
 
 
-def matrix(formats: Sequence[Format] | None = None) -> list[Setting]:
-    """Both collectors with each format; by default bfloat16 only where the processor multiplies faster in it."""
-    chosen: Sequence[Format] = formats or (("float32", "bfloat16") if fastest_autocast() is not None else ("float32",))
-    collectors: tuple[Collector, ...] = ("sync", "async")
-    return [Setting(collector, number_format) for number_format in chosen for collector in collectors]
+def matrix(
+    collectors: Sequence[Collector] = get_args(Collector), formats: Sequence[Format] | None = None
+) -> list[Setting]:
+    """The collectors with each format; by default bfloat16 only where the processor multiplies faster in it."""
+    faster: Sequence[Format] = ("float32", "bfloat16") if fastest_autocast() is not None else ("float32",)
+    return [Setting(collector, number_format) for number_format in formats or faster for collector in collectors]
 
 
 def run(
     console: Console,
     *,
-    out: Path,
+    results: Path,
     runs: Path,
     seeds: Sequence[int] = (0, 1, 2),
     steps: int = 100_000,
+    collectors: Sequence[Collector] = get_args(Collector),
     formats: Sequence[Format] | None = None,
     **settings: Any,
-) -> dict[str, Any]:
-    """Trains every setting with every seed, seed by seed, and prints their successes side by side.
+) -> list[dict[str, Any]]:
+    """Trains every setting with every seed, seed by seed, and prints side by side what their last weights reach.
 
     It survives interruptions: finished runs are not repeated, and one that was under way goes on from its checkpoint.
 
     Args:
         console: where to.
-        out: JSON file that is written after each run.
-        runs: directory of the runs' directories.
+        results: directory of a JSON file for each run.
+        runs: directory of the runs' directories; large, needed only to go on with them.
         seeds: of the runs.
         steps: transitions in each.
+        collectors: see ``matrix``.
         formats: see ``matrix``.
         settings: of ``TrainConfig``, in place of the default preset's.
 
     Returns:
-        what the file holds: ``machine``, ``steps`` and ``runs``, each with its setting, seed, successes and seconds.
+        what the files hold: setting, seed, the successes in training and of the last weights, minutes, machine.
+
+    Raises:
+        ValueError: for results of another length that lie where a run's are to go.
+        SeriesError: at the end, if runs could not be finished.
     """
-    chosen = matrix(formats)
-    finished = []
+    planned = []
     for seed in seeds:
-        for setting in chosen:
+        for setting in matrix(collectors, formats):
             name = f"{setting.collector}-{setting.number_format}-seed{seed}"
-            console.print(f"{name}, {steps:,} steps")
-            config = dataclasses.replace(
-                PRESETS[DEFAULT_PRESET],
-                **{
-                    "collector": setting.collector,
-                    "autocast": setting.number_format,
-                    "seed": seed,
-                    "total_steps": steps,
-                    "eval_interval": max(1, steps // 4),
-                    "checkpoint_interval": max(1, steps // 4),
-                    "report": False,
-                    "out": runs / name,
-                    **settings,
-                },
+            changes = {
+                "collector": setting.collector,
+                "autocast": setting.number_format,
+                "seed": seed,
+                "total_steps": steps,
+                "eval_interval": max(1, steps // 4),
+                "checkpoint_interval": max(1, steps // 4),
+                "report": False,
+                "out": runs / name,
+                **settings,
+            }
+            planned.append(
+                Planned(
+                    name=name,
+                    what=f"{setting.collector} collector, {setting.number_format}, {steps:,} steps",
+                    labels={**setting._asdict(), "seed": seed},
+                    config=dataclasses.replace(PRESETS[DEFAULT_PRESET], **changes),
+                    results=results / f"{name}.json",
+                )
             )
-            finished.append({**setting._asdict(), "seed": seed, **_result(config, console)})
-            write_json(out, {"machine": versions(), "steps": steps, "runs": finished})
-    console.print(_table(finished, steps))
-    return json.loads(out.read_text(encoding="utf-8"))
+    try:
+        run_series(planned, lambda trained: _results_of(trained, console), lambda: None, console)
+    finally:
+        finished = [json.loads(one.results.read_text(encoding="utf-8")) for one in planned if one.results.exists()]
+        if finished:
+            console.print(_table(finished, steps))
+    return finished
 
 
-def _result(config: TrainConfig, console: Console) -> dict[str, Any]:
-    from rl.train import train
-
-    run = Run(config.directory)
-    if not (run.exists and run.has_ended):
-        run = train(config, resume=run.exists, console=console)
-    rows = run.evaluations.rows()
+def _results_of(trained: Run, console: Console) -> dict[str, Any]:
+    rows, policy = trained.evaluations.rows(), load_policy(trained.directory, weights="last")
     return {
-        "steps": [int(row["step"]) for row in rows],
-        "success": [float(row["success_rate"]) for row in rows],
-        "spl": [float(row["spl"]) for row in rows],
-        "seconds": float(rows[-1]["seconds"]),
+        "curve": {key: [float(row[key]) for row in rows] for key in ("step", "seconds", "success_rate", "spl")},
+        "final": rates_in_places(policy, trained.config, console),
     }
 
 
 def _table(finished: Sequence[dict[str, Any]], steps: int) -> Table:
-    table = Table(title=f"goals reached after {steps:,} steps, {processor()}", title_justify="left")
-    for heading in ("collector", "format", "each seed, %", "mean", "best evaluation, mean", "seconds, median"):
-        table.add_column(heading, justify="left" if heading in ("collector", "format") else "right")
-    for setting in dict.fromkeys((row["collector"], row["number_format"]) for row in finished):
-        rows = [row for row in finished if (row["collector"], row["number_format"]) == setting]
-        last = [100 * row["success"][-1] for row in rows]
-        table.add_row(
-            *setting,
-            " ".join(f"{value:.0f}" for value in last),
-            f"{statistics.mean(last):.0f}",
-            f"{statistics.mean(100 * max(row['success']) for row in rows):.0f}",
-            f"{statistics.median(row['seconds'] for row in rows):,.0f}",
-        )
+    table = Table(title=f"goals reached after {steps:,} steps, by the last weights, %", title_justify="left")
+    for heading in ("collector", "format"):
+        table.add_column(heading)
+    for place in (COMPLEX, UNSEEN):
+        table.add_column(f"{place}, each seed", justify="right")
+        table.add_column("mean", justify="right")
+    table.add_column("minutes, median", justify="right")
+    for setting in dict.fromkeys((one["collector"], one["number_format"]) for one in finished):
+        of_setting = [one for one in finished if (one["collector"], one["number_format"]) == setting]
+        cells = []
+        for place in (COMPLEX, UNSEEN):
+            rates = [100 * one["final"][place]["success_rate"] for one in of_setting]
+            digits = 0 if place == COMPLEX else 1
+            cells += [" ".join(f"{rate:.{digits}f}" for rate in rates), f"{statistics.fmean(rates):.1f}"]
+        minutes = statistics.median(one["curve"]["seconds"][-1] for one in of_setting) / 60
+        table.add_row(*setting, *cells, f"{minutes:.1f}")
     return table

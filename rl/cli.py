@@ -373,21 +373,44 @@ def bench_train(
 @_bench.command(name="learning")
 def bench_learning(
     steps: int = 100_000,
-    seeds: int = 3,
+    seeds: tuple[int, ...] = (0, 1, 2),
+    collectors: tuple[Literal["sync", "async"], ...] = ("sync", "async"),
+    formats: Annotated[
+        tuple[Literal["float32", "bfloat16"], ...] | None,
+        arg(help_behavior_hint="(default: both where this processor is faster in bfloat16, else float32)"),
+    ] = None,
+    num_threads: int = 2,
     runs: Annotated[Path, arg(metavar="DIR")] = Path("runs/bench_learning"),
-    out: Annotated[Path, arg(metavar="FILE")] = Path("bench_learning.json"),
+    results: Annotated[Path, arg(metavar="DIR")] = Path("bench_learning"),
 ) -> None:
     """Train with each collector and number format, and compare what they learn. Interrupted: run it again.
 
     Args:
         steps: Transitions in each run.
-        seeds: Runs with each setting.
-        runs: Directory for the runs; finished ones are not repeated.
-        out: JSON file for the results, written after each run.
+        seeds: Of the runs with each setting.
+        collectors: Kinds of collector to compare.
+        formats: Number formats to compare.
+        num_threads: CPU threads of each learner. With 1, two of these commands, of different seeds, can run at once.
+        runs: Directory for the runs, needed only to go on with them.
+        results: Directory for a JSON file of each run, which is not trained again.
     """
     from rl.bench_learning import run
+    from rl.series import SeriesError
 
-    run(Console(), out=out, runs=runs, seeds=range(seeds), steps=steps)
+    try:
+        run(
+            Console(),
+            results=results,
+            runs=runs,
+            seeds=seeds,
+            steps=steps,
+            collectors=collectors,
+            formats=formats,
+            num_threads=num_threads,
+        )
+    except SeriesError as error:
+        print(error, file=sys.stderr)
+        raise SystemExit(FAILURE) from None
 
 
 _Part = TypeVar("_Part")

@@ -13,6 +13,7 @@ from rich.console import Console
 
 from navsim.camera import DepthCamera
 from rl import bench_env, bench_learner, bench_learning, bench_replay, bench_train
+from rl.ablations import COMPLEX, PLACES, UNSEEN
 from rl.bench_learner import CONFIG, PeerLearner, random_sample, stable_baselines_update
 from rl.networks import make_q_actor
 from rl.stopwatch import stopwatch
@@ -167,7 +168,8 @@ def test_files_of_other_benchmarks_and_machines_are_left_alone(console, tmp_path
 
 
 @pytest.mark.slow
-def test_what_collectors_learn_is_compared_and_finished_runs_are_kept(console, tmp_path):
+def test_what_collectors_learn_is_compared_and_finished_runs_are_kept(console, tmp_path, monkeypatch):
+    monkeypatch.setitem(PLACES, UNSEEN, ("generate:clutter,count=3", 20))
     small = {
         "camera": DepthCamera(width=20, height=12),
         "eval_world": "simple_eval",
@@ -181,12 +183,13 @@ def test_what_collectors_learn_is_compared_and_finished_runs_are_kept(console, t
 
     def compare():
         return bench_learning.run(
-            console, out=tmp_path / "x.json", runs=tmp_path, seeds=(0,), steps=512, formats=("float32",), **small
+            console, results=tmp_path / "results", runs=tmp_path, seeds=(0,), steps=512, formats=("float32",), **small
         )
 
     results = compare()
-    assert [row["collector"] for row in results["runs"]] == ["sync", "async"]
-    assert all(row["steps"] == [128, 256, 384, 512] for row in results["runs"])
+    assert [(one["collector"], one["settings"]["collector"]) for one in results] == [("sync",) * 2, ("async",) * 2]
+    assert all(one["curve"]["step"] == [128, 256, 384, 512] for one in results)
+    assert all([one["final"][place]["paths"] for place in (COMPLEX, UNSEEN)] == [100, 20] for one in results)
     changed = {path: path.stat().st_mtime_ns for path in tmp_path.glob("*/policy_last.pt")}
     assert len(changed) == 2
     assert compare() == results
