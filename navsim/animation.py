@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -36,6 +37,7 @@ from navsim.draw import (
     masked_depth,
     move_dynamic_patches,
 )
+from navsim.files import atomic_write
 from navsim.raycast import render_depth
 from navsim.robot import NUM_ACTIONS, TURTLEBOT2, Robot
 from navsim.scan import obstacle_depth, scan_points
@@ -143,16 +145,11 @@ def animate_episode(
         remembered,
     )
     frame_rate = speed / episode.task.control_period
-    path.parent.mkdir(parents=True, exist_ok=True)
     images = list(_frames(episode))
     images += [images[-1]] * round(_HOLD * frame_rate)
-    if path.suffix.lower() == ".gif":
-        _write_gif(path, images, frame_rate)
-    else:
-        # yuv420p is what browsers and phones play.
-        imageio.imwrite(
-            path, np.stack(images), fps=frame_rate, codec="libx264", macro_block_size=2, pixelformat="yuv420p"
-        )
+    film = _gif(images, frame_rate) if path.suffix.lower() == ".gif" else _mp4(images, frame_rate)
+    with atomic_write(path, "wb") as file:
+        file.write(film)
     return path
 
 
@@ -345,11 +342,27 @@ def _view_outlines(depths: np.ndarray, poses: np.ndarray, camera: DepthCamera) -
     return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1) + poses[:, None, :2]
 
 
-def _write_gif(path: Path, images: list[np.ndarray], frame_rate: float) -> None:
+def _mp4(images: list[np.ndarray], frame_rate: float) -> bytes:
+    film = imageio.imwrite(
+        "<bytes>",
+        np.stack(images),
+        extension=".mp4",
+        fps=frame_rate,
+        codec="libx264",
+        macro_block_size=2,
+        pixelformat="yuv420p",  # what browsers and phones play
+    )
+    assert film is not None
+    return film
+
+
+def _gif(images: list[np.ndarray], frame_rate: float) -> bytes:
     # One palette for all frames: it is quick to apply, and what stands still stays the same from frame to frame, so
     # that a GIF stores only what changes.
     sample = np.concatenate(images[:: max(1, len(images) // 6)])
     palette = Image.fromarray(sample).quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     indexed = [Image.fromarray(image).quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     duration = round(1000.0 / frame_rate)  # milliseconds
-    indexed[0].save(path, save_all=True, append_images=indexed[1:], duration=duration, loop=0)
+    film = io.BytesIO()
+    indexed[0].save(film, "GIF", save_all=True, append_images=indexed[1:], duration=duration, loop=0)
+    return film.getvalue()

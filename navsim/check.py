@@ -25,11 +25,17 @@ from navsim.errors import Finding, Problem, WorldError
 from navsim.oddities import Equipment, oddities, outlines, passages_of
 from navsim.passages import Passage
 from navsim.planner import shortest_path_length
-from navsim.world import MOST_TOLD, World, parse_world
+from navsim.task import NoFreeMomentError, Path
+from navsim.world import MOST_TOLD, Goal, Start, World, parse_world
 from navsim.worldfile import decoded, read_document, read_file
 
 MOST_PATHS = 400
 """Pairs of a start and a goal that are summarised: each takes milliseconds in a furnished room."""
+
+_TURNS = 8
+"""Yaws that are tried of a start that leaves them open, and episodes where something moves."""
+_Beginning = tuple[np.ndarray, np.ndarray | tuple[()]]
+"""Of a try: the pose, and the phases of what moves."""
 
 Progress = Callable[[Iterable[Any], int], Iterable[Any]]
 """Passes on what it is given, of that many, and shows how far it has come."""
@@ -184,7 +190,8 @@ def unsolved(
 ) -> list[Problem]:
     """The paths that the planning oracle finds no way along, which knows the map and has the robot's own actions.
 
-    A start without a yaw counts as solved when one of eight yaws with enough free view leads to the goal.
+    A start without a yaw counts as solved when one of eight yaws leads to the goal; where something moves, a path does
+    when one of eight episodes can be driven, and counts for nothing when none can begin.
     """
     from navsim.oracle import Oracle
 
@@ -193,19 +200,31 @@ def unsolved(
     equipment = equipment or Equipment()
     oracle = Oracle(world, equipment.camera, equipment.task, equipment.robot)
     problems = []
+    moves = any(one.motion is not None for one in world.obstacles)
     for i, j in progress(world.paths, len(world.paths)):
         start, goal = world.starts[i], world.goals[j]
-        bearing = math.degrees(math.atan2(goal.at[1] - start.at[1], goal.at[0] - start.at[0]))
-        yaws = (
-            [start.yaw_deg]
-            if start.yaw_deg is not None
-            else [bearing + 45.0 * turn for turn in (0, 1, -1, 2, -2, 3, -3, 4)]
-        )
-        poses = (np.array([*start.at, math.radians(yaw)]) for yaw in yaws)
-        if all(oracle.plan(pose, np.array(goal.at)) is None for pose in poses):
+        begun = _episodes(world, Path(i, j), equipment) if moves else _yaws_tried(start, goal)
+        if begun and all(oracle.plan(pose, np.array(goal.at), phases) is None for pose, phases in begun):
             text = f"the oracle, which knows the map, finds no way from starts[{i}]; widen the gaps or move one of them"
             problems.append(Problem(("goals", j), text))
     return problems
+
+
+def _yaws_tried(start: Start, goal: Goal) -> list[_Beginning]:
+    yaws = [start.yaw_deg or 0.0]
+    if start.yaw_deg is None:
+        bearing = math.degrees(math.atan2(goal.at[1] - start.at[1], goal.at[0] - start.at[0]))
+        yaws = [bearing + 360.0 / _TURNS * turn for turn in sorted(range(1 - _TURNS // 2, _TURNS // 2 + 1), key=abs)]
+    return [(np.array([*start.at, math.radians(yaw)]), ()) for yaw in yaws]
+
+
+def _episodes(world: World, path: Path, equipment: Equipment) -> list[_Beginning]:
+    generator, episodes = np.random.default_rng(0), equipment.episodes(world)
+    try:
+        drawn = [episodes.draw(generator, path) for _ in range(_TURNS)]
+    except NoFreeMomentError:  # told as an oddity
+        return []
+    return [(episode.pose, episode.phases) for episode in drawn]
 
 
 def summarise(world: World, equipment: Equipment | None = None) -> Summary:

@@ -112,7 +112,12 @@ class DynamicObstacle:
     @property
     def top_speed(self) -> float:
         """Of its fastest point, m/s; 0 for a pushable obstacle."""
-        return self.rate * self.reach if (self.knots[:, 2] != 0.0).any() else self.rate
+        return self.rate * self.reach if self.swings else self.rate
+
+    @property
+    def swings(self) -> bool:
+        """Whether it turns about a hinge."""
+        return bool((self.knots[:, 2] != 0.0).any())
 
 
 def dynamic_obstacles(world: World) -> tuple[DynamicObstacle, ...]:

@@ -20,7 +20,8 @@ TEMPORARY = re.compile(r"\..+\.[a-z0-9_]{8}")
 def atomic_write(path: str | os.PathLike[str], mode: str = "w", *, parents: bool = True) -> Iterator[IO[Any]]:
     """A file that takes ``path``'s place when it is complete and on the disk, and leaves no trace when it is not.
 
-    What a link points to is replaced, and the link stays; a file that is replaced hands its permissions on.
+    What a link points to is replaced, and the link stays; a file that is replaced hands its permissions on. What is no
+    file, such as ``/dev/stdout`` or a pipe, is written to as it is.
 
     Args:
         path: of the file.
@@ -28,19 +29,26 @@ def atomic_write(path: str | os.PathLike[str], mode: str = "w", *, parents: bool
         parents: whether directories that are missing are made.
 
     Raises:
-        OSError: if it cannot be written; what was there is as it was.
+        OSError: if it cannot be written, or is read-only; what was there is as it was.
     """
     target = Path(path).resolve()
     if parents:
         target.parent.mkdir(parents=True, exist_ok=True)
     elif not target.parent.is_dir():
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(Path(path).parent))
+    encoding, newline = (None, None) if "b" in mode else ("utf-8", "")
+    if target.exists() and not target.is_dir():
+        if not target.is_file():
+            with target.open(mode, encoding=encoding, newline=newline) as file:
+                yield file
+            return
+        if not os.access(target, os.W_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
     try:
         handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
     except OSError as error:
         error.filename = str(path)  # not the temporary file's, which nobody has asked for
         raise
-    encoding, newline = (None, None) if "b" in mode else ("utf-8", "")
     try:
         with os.fdopen(handle, mode, encoding=encoding, newline=newline) as file:
             yield file

@@ -15,7 +15,7 @@ from navsim.footprints import Footprints, overlapping_boxes
 from navsim.prism import Prism
 
 if TYPE_CHECKING:
-    from navsim.world import World
+    from navsim.world import Obstacle, World
 
 FASTEST = 10.0
 """Metres per second that no point of a moving obstacle may exceed."""
@@ -29,6 +29,10 @@ MOST_SWEEPS = 40_000
 """Of all moving obstacles together: convex pieces, each times the angles or lines of its way."""
 MOST_PAIRS = 1_000_000
 """Pairs of a movable piece and another one whose bounding boxes meet, of all together."""
+
+
+Outline = Sequence[tuple[np.ndarray, float]]
+"""Convex pieces of a footprint: vertices ``(V, 2)`` and radius of each, metres."""
 
 
 class Sweep(NamedTuple):
@@ -49,7 +53,7 @@ def sweeps(one: DynamicObstacle, swing_step: float = SWING_STEP) -> list[Sweep]:
         one: an obstacle that moves by itself.
         swing_step: metres that its farthest point moves between two angles of a swing; straight ways are exact.
     """
-    if _swings(one):
+    if one.swings:
         (x, y, begin), (_, _, end) = one.knots
         return [
             Sweep(placed(part.vertices, np.array([x, y, angle])), part.radius, f"at {math.degrees(angle):.0f}°")
@@ -68,11 +72,7 @@ def sweeps(one: DynamicObstacle, swing_step: float = SWING_STEP) -> list[Sweep]:
 
 def count_sweeps(one: DynamicObstacle, swing_step: float = SWING_STEP) -> int:
     """How many :func:`sweeps` has, without making them."""
-    return len(one.parts) * (_angles(one, swing_step) if _swings(one) else len(one.knots) - 1)
-
-
-def _swings(one: DynamicObstacle) -> bool:
-    return bool((one.knots[:, 2] != 0.0).any())
+    return len(one.parts) * (_angles(one, swing_step) if one.swings else len(one.knots) - 1)
 
 
 def _angles(one: DynamicObstacle, swing_step: float) -> int:
@@ -144,6 +144,12 @@ class _Standing:
         return found
 
 
+def meet(first: Outline, second: Outline) -> bool:
+    """Whether two obstacles' footprints, wherever they are, overlap by more than ``TOUCH``."""
+    ours, theirs = ([Prism("", 0, 0.0, 1.0, *piece) for piece in outline] for outline in (first, second))
+    return bool(_Standing(theirs).overlaps(Footprints.of(ours), 0.0, 1.0))
+
+
 def _contradictions(world: World) -> Iterator[Problem]:
     for i, obstacle in enumerate(world.obstacles):
         where: tuple[str | int, ...] = ("obstacles", i, obstacle.kind)
@@ -152,14 +158,23 @@ def _contradictions(world: World) -> Iterator[Problem]:
             yield Problem((*where, "pushable"), text, at_key=True)
         if obstacle.pushable is not None and obstacle.base > 0.0:
             yield Problem((*where, "base"), "what can be pushed slides on the floor; leave 'base' out")
-        path, at = getattr(obstacle.motion, "path", None), getattr(obstacle, "at", None)
-        if path is not None and at is not None and math.dist(path[0], at) > TOUCH:
-            shown = f"[{at[0]:g}, {at[1]:g}]"
-            yield Problem((*where, "motion", "path", 0), f"must be where the obstacle stands, 'at' {shown}")
+        yield from _contradictions_of_path(obstacle, where)
     for one in dynamic_obstacles(world):
         if one.top_speed > FASTEST * (1.0 + 1e-9):
             text = f"its farthest point moves at {one.top_speed:.3g} m/s, faster than {FASTEST:g} m/s; lower the speed"
             yield Problem(_motion(world, one), text)
+
+
+def _contradictions_of_path(obstacle: Obstacle, where: tuple[str | int, ...]) -> Iterator[Problem]:
+    path, at = getattr(obstacle.motion, "path", None), getattr(obstacle, "at", None)
+    if path is None or obstacle.motion is None:
+        return
+    if at is not None and math.dist(path[0], at) > TOUCH:
+        shown = f"[{at[0]:g}, {at[1]:g}]"
+        yield Problem((*where, "motion", "path", 0), f"must be where the obstacle stands, 'at' {shown}")
+    if obstacle.motion.is_circuit and math.dist(path[-1], path[0]) <= TOUCH:
+        text = "is where the path begins, to which a circuit leads back by itself; leave it out"
+        yield Problem((*where, "motion", "path", len(path) - 1), text)
 
 
 def _where(world: World, index: int) -> tuple[str | int, ...]:

@@ -16,9 +16,9 @@ import shapely
 from navsim.camera import DepthCamera
 from navsim.errors import Problem, key_path
 from navsim.passages import Passage, narrowest_passages
-from navsim.raycast import render_depth
+from navsim.raycast import Scene, render_depth
 from navsim.robot import TURTLEBOT2, Robot
-from navsim.task import Task
+from navsim.task import Episodes, NoFreeMomentError, Path, Task
 from navsim.world import Cylinder, Obstacle, Polygon, World
 
 REACHING_OUT = 1e-3
@@ -36,6 +36,10 @@ class Equipment:
     robot: Robot = TURTLEBOT2
     camera: DepthCamera = field(default_factory=DepthCamera)
     task: Task = field(default_factory=Task)
+
+    def episodes(self, world: World) -> Episodes:
+        """How episodes in ``world`` begin."""
+        return Episodes(world, 0, Scene([world.fixed_prisms]), self.camera, self.task, self.robot)
 
     @cached_property
     def narrow(self) -> float:
@@ -72,6 +76,7 @@ def oddities(world: World, equipment: Equipment | None = None) -> list[Problem]:
         *_out_of_sight(world, equipment),
         *_reached_at_once(world, equipment.task),
         *_ended_at_once(world, equipment),
+        *_never_free(world, equipment),
         *_narrow_ways(world, equipment),
     ]
 
@@ -160,14 +165,18 @@ def _reached_at_once(world: World, task: Task) -> Iterator[Problem]:
 
 
 def _ended_at_once(world: World, equipment: Equipment) -> Iterator[Problem]:
-    """Starts where the robot sees something nearer than the depth rule allows before it has moved."""
+    """Starts where the robot sees something nearer than the depth rule allows before it has moved.
+
+    What moves does not count: an episode begins when it is away.
+    """
     limit = equipment.task.collision_depth
     if isinstance(world.starts, str) or limit <= 0.0:
         return
+    standing = world.model_copy(update={"obstacles": tuple(one for one in world.obstacles if one.motion is None)})
     for i, start in enumerate(world.starts):
         yaws = _VIEWS if start.yaw_deg is None else np.deg2rad([start.yaw_deg])
         poses = np.column_stack([np.tile(start.at, (len(yaws), 1)), yaws])
-        nearest = render_depth(world, poses, equipment.camera).min(axis=(1, 2))
+        nearest = render_depth(standing, poses, equipment.camera).min(axis=(1, 2))
         if nearest.max() >= limit:
             continue
         ahead = "whichever way it faces" if start.yaw_deg is None else f"facing {start.yaw_deg:g}°"
@@ -177,6 +186,19 @@ def _ended_at_once(world: World, equipment: Equipment) -> Iterator[Problem]:
             f"episode with its first step; {remedy}"
         )
         yield Problem(("starts", i), text)
+
+
+def _never_free(world: World, equipment: Equipment) -> Iterator[Problem]:
+    """Starts at which no episode can begin for what moves."""
+    if isinstance(world.starts, str) or all(one.motion is None for one in world.obstacles):
+        return
+    episodes = equipment.episodes(world)
+    for i in range(len(world.starts)):
+        try:
+            episodes.draw(np.random.default_rng(0), Path(i, -1 if isinstance(world.goals, str) else 0))
+        except NoFreeMomentError:
+            text = "no episode can begin here: an obstacle that moves is there, or in something pushable, at all times"
+            yield Problem(("starts", i), f"{text}; move the start, or the obstacle's path")
 
 
 def _narrow_ways(world: World, equipment: Equipment) -> Iterator[Problem]:

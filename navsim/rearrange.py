@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from navsim.dynamics import dynamic_obstacles
+from navsim.dynamics import DynamicObstacle, dynamic_obstacles
 from navsim.footprints import Footprints
 from navsim.motion_rules import sweeps
 from navsim.prism import Prism
@@ -21,7 +21,7 @@ from navsim.world import World
 TOGETHER = 0.06
 """Obstacles that are nearer to each other than this, metres, are one piece of furniture."""
 _TRIES = 150  # places tried for a piece before it is left out: the room is full
-_SWEEP_MARGIN = 1e-3  # metres to the walls for what moves or can be pushed: more than points miss of what is swept
+_SWEEP_MARGIN = 1e-3  # least of metres to the walls for what moves or can be pushed
 _SPACING = 0.05  # of the points that stand for a piece's outline, metres; errors of gaps are a hundredth of it
 
 
@@ -62,10 +62,10 @@ def _arranged(world: World, pieces: list[_Piece], generator: np.random.Generator
 class _Piece:
     """Obstacles that stay together, in coordinates around the middle of them all."""
 
-    def __init__(self, prisms: list[Prism], dynamic: set[int]) -> None:
+    def __init__(self, prisms: list[Prism], margins: dict[int, float]) -> None:
         self.members = sorted({prism.obstacle for prism in prisms})
-        outline = np.concatenate([_outline(prism, outside=prism.obstacle in dynamic) for prism in prisms])
-        self.margin = _SWEEP_MARGIN if dynamic.intersection(self.members) else 0.0
+        outline = np.concatenate([_outline(prism, outside=prism.obstacle in margins) for prism in prisms])
+        self.margin = max(margins.get(member, 0.0) for member in self.members)
         self.centre = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
         self.outline = outline - self.centre
         self.extent = float(np.linalg.norm(self.outline, axis=1).max())
@@ -106,9 +106,16 @@ def _pieces(world: World) -> list[_Piece]:
             if piece_of[j] != piece_of[i] and near:
                 old, new = piece_of[j], piece_of[i]
                 piece_of = [new if piece == old else piece for piece in piece_of]
-    dynamic = {one.index for one in dynamic_obstacles(world)}
+    margins = {one.index: _margin(one) for one in dynamic_obstacles(world)}
     members = ([p for p, own in zip(prisms, piece_of, strict=True) if own == piece] for piece in set(piece_of))
-    return [_Piece(prisms, dynamic) for prisms in members]
+    return [_Piece(prisms, margins) for prisms in members]
+
+
+def _margin(one: DynamicObstacle) -> float:
+    """Metres that it keeps to the walls: between the angles at which a swing is looked at, it reaches out further."""
+    if not one.swings:
+        return _SWEEP_MARGIN
+    return max(_SWEEP_MARGIN, one.reach * (1.0 - math.cos(min(0.5 * _SPACING / one.reach, math.pi))))
 
 
 def _outline(prism: Prism, outside: bool = False) -> np.ndarray:

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from navsim.camera import DepthCamera, Mounts
-from navsim.dynamics import Dynamics
+from navsim.dynamics import Dynamics, outlines
+from navsim.motion_rules import meet
 from navsim.places import START_CLEARANCE, RandomPlaces
 from navsim.raycast import Scene, nearest_depth
 from navsim.robot import Robot, wrap_angle
@@ -135,6 +136,10 @@ def rewards(
     return np.where(success | collision, ended, progress - task.step_penalty).astype(np.float32)
 
 
+class NoFreeMomentError(ValueError):
+    """A start that what moves never leaves free."""
+
+
 class Path(NamedTuple):
     """A start and a goal of a world. An index of −1 is a place drawn at random, for worlds that leave it open."""
 
@@ -203,6 +208,7 @@ class Episodes:
 
         Raises:
             ValueError: for a path that the world does not have, or a world without room for a random place.
+            NoFreeMomentError: for a start that what moves never leaves free.
         """
         return self.draw_many([generator], [path])[0]
 
@@ -242,7 +248,7 @@ class Episodes:
                 break
         if best is None:
             where = f"[{start[0]:g}, {start[1]:g}]"
-            raise ValueError(
+            raise NoFreeMomentError(
                 f'world "{self._world.name}" has no free moment for a start at {where}: of {_PHASES} draws, a moving '
                 f"obstacle was there or in something pushable each time; move the start, or the obstacle's path"
             )
@@ -258,7 +264,11 @@ class Episodes:
         may_meet = dynamics.moves[0][:, None] & np.append(True, dynamics.is_pushable[0])
         slot, point = np.nonzero(may_meet & (dynamics.base[0][:, None] < tops))
         distance = dynamics.distances(row.repeat(len(slot)), slot, poses[slot], points[point])
-        return bool((distance >= needed[point]).all())
+        near = distance < needed[point]
+        if (near & (point == 0)).any():
+            return False
+        shapes = outlines(self._world, poses)
+        return not any(meet(shapes[s], shapes[p - 1]) for s, p in zip(slot[near], point[near], strict=True))
 
     def _places(
         self, generators: Sequence[np.random.Generator], indices: Sequence[tuple[int, int]]

@@ -86,7 +86,7 @@ def schema(
 def show(
     file: Positional[str],
     output: Annotated[
-        Path | None, arg(aliases=["-o"], metavar="FILE", help_behavior_hint="(default: WORLD.png, here)")
+        Path | None, arg(aliases=["-o"], metavar="FILE", help_behavior_hint="(default: FILE's name with .png, here)")
     ] = None,
     names: bool = True,
     camera: Annotated[str | None, arg(metavar="X,Y,YAW", help_behavior_hint="(optional)")] = None,
@@ -107,7 +107,7 @@ def show(
     world = load_world(file)
     pose = None if camera is None else parse_pose(camera)
     with busy("drawing"):
-        path = save_plan_view(world, output or Path(f"{world.name}.png"), names=names, pose=pose)
+        path = save_plan_view(world, output or Path(f"{Path(file).stem}.png"), names=names, pose=pose)
     print(path)
 
 
@@ -278,9 +278,8 @@ def export(
         heights: ROS map: obstacles with something between these heights are on it, metres. A laser scanner sees what
             is at its own height; the robot bumps into what is between the floor and its top.
     """
-    from navsim import load_world
-    from navsim.convert import export_world
+    from navsim.convert import export_file
 
-    for note in export_world(load_world(world), output, format, resolution=resolution, heights=heights):
+    for note in export_file(world, output, format, resolution=resolution, heights=heights):
         print(f"- {note}")
     print(output)

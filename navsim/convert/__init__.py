@@ -5,7 +5,7 @@ such a list as well.
 """
 
 from navsim.convert.errors import ConversionError
-from navsim.convert.formats import export_world, format_of, import_file, import_world
+from navsim.convert.formats import export_file, export_world, format_of, import_file, import_world
 from navsim.convert.irsim import load_irsim
 from navsim.convert.mjcf import save_mjcf
 from navsim.convert.ros_map import load_ros_map, save_ros_map
@@ -15,6 +15,7 @@ from navsim.convert.sdf import load_sdf, save_sdf
 __all__ = [
     "ConversionError",
     "Room",
+    "export_file",
     "export_world",
     "format_of",
     "import_file",

@@ -17,7 +17,7 @@ from navsim.convert.textfile import read_bytes
 from navsim.convert.yamlfile import read_yaml
 from navsim.files import write_text
 from navsim.world import World
-from navsim.worldfile import dump_world
+from navsim.worldfile import dump_world, parse_text, read_file
 
 Source = Literal["sdf", "ros-map", "ir-sim"]
 Target = Literal["sdf", "mjcf", "ros-map"]
@@ -109,6 +109,26 @@ def export_world(
     return writers[kind](world, path)
 
 
+def export_file(
+    world: str | os.PathLike[str], output: str | os.PathLike[str], format: Target | None = None, **settings: Any
+) -> list[str]:
+    """What ``navsim world export`` does: :func:`export_world` for a world file, or the name of a shipped world.
+
+    Raises:
+        WorldError: as ``load_world``.
+        ValueError: as :func:`export_world`, and for a file that would be written over itself.
+    """
+    source, content = read_file(world)
+    loaded = parse_text(content, str(source), source.stem)
+    _refuse_to_replace(source, Path(output))
+    return export_world(loaded, output, format, **settings)
+
+
+def _refuse_to_replace(source: Path, target: Path) -> None:
+    if target.exists() and target.samefile(source):
+        raise ConversionError(str(target), 0, "is the file that is read; name another one to write with -o")
+
+
 def format_of(path: str | os.PathLike[str]) -> Source:
     """The format of a file, from its suffix and, where that is not enough, its content.
 
@@ -149,6 +169,7 @@ def import_file(path: str | os.PathLike[str], output: Path | None, **settings: A
         target = Path(f"{Path(path).stem}_world.yaml")
         if target.exists():
             raise ConversionError(str(target), 0, "exists already; name the file to write with -o")
+    _refuse_to_replace(Path(path), target)
     header = [
         f"# Imported from {Path(path).name} by 'navsim world import'.",
         *(f"# - {_one_line(note)}" for note in notes),

@@ -212,7 +212,9 @@ class _Reader:
         speed = abs(fastest.numbers(1, 3)[0]) if fastest is not None else 1.0
         if speed < 1e-6:
             return None
-        if len(goals) > 1:
+        if math.dist(path[-1], path[0]) <= 1e-6:
+            path.pop()  # a circuit leads back by itself
+        elif len(goals) > 1:
             self._notes.append(f"'{label}' passes its first place on every round, as it does not in IR-SIM")
         return path, speed
 

@@ -142,7 +142,7 @@ class _Reader:
 
     def _read_world(self, world: Element, scope: Scope) -> None:
         for frame in world.all("frame"):
-            scope.declare(frame)
+            scope.declare(frame, frame.attributes.get("attached_to") or "world")
         self._children(world, scope, np.eye(4), (Path(world.file),), "", False)
         for frame in world.all("frame"):
             which = re.fullmatch(r"(start|goal)(_\d+)?", frame.name)

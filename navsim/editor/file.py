@@ -141,7 +141,7 @@ class EditedFile:
             raise WorldError([f"{self._like}: there is no such world; name a file or one of {choice}"]) from None
         except OSError as error:
             raise WorldError([f"{self._like}: cannot be read ({error.strerror})"]) from None
-        return re.sub(r"(?m)^name:[^#\n]*", f"name: {name}", text, count=1)
+        return re.sub(r"(?m)^name:(?:[^#\n]*[^#\s])?", f"name: {name}", text, count=1)
 
 
 def _decoded(content: bytes, path: Path) -> str:

@@ -65,9 +65,15 @@ def _write_room(settings: RoomSettings, room: tuple[int, Path]) -> tuple[World, 
 
 def room_text(settings: RoomSettings, index: int, world: World) -> str:
     """The world file of room ``index``, with the command that makes it in the first line."""
-    density = "" if settings.density is None else f" --density {settings.density:g}"
+    density = "" if settings.density is None else f" --density {_exact(settings.density)}"
     command = (
-        f"navsim world generate --kind {settings.kind} --size {settings.size[0]:g},{settings.size[1]:g}{density} "
+        f"navsim world generate --kind {settings.kind} --size {','.join(map(_exact, settings.size))}{density} "
         f"--seed {settings.seed} --first {index + 1}"
     )
     return f"# {command}\n\n{dump_world(world)}"
+
+
+def _exact(number: float) -> str:
+    """Its shortest text that reads as the same number."""
+    short = f"{number:g}"
+    return short if float(short) == number else repr(float(number))

@@ -169,6 +169,22 @@ def test_what_is_not_odd_is_not_told(text):
     assert marked(f"{ROOM}{text}\n") == []
 
 
+WALKER = "{cylinder: {at: [-2.6, 0], radius: 0.2, height: 1, motion: {path: [[-2.6, 0], [-2.6, 3]], speed: 0.5}}}"
+
+
+def test_what_moves_is_not_taken_for_what_stands():
+    text = f"{ROOM}obstacles: [{WALKER}]\nstarts: [{{at: [-3, 0], yaw_deg: 0}}]\ngoals: [[-1, 0]]\n"
+    assert check_text(text, solve=True).findings == ()
+
+
+def test_a_start_that_is_never_free_is_told():
+    place = "starts: [[-2.6, 0.3]]\ngoals: [[-1, 0]]\n"
+    pacing = WALKER.replace("[-2.6, 3]", "[-2.6, 0.1]")
+    ((severity, underlined, message),) = marked(f"{ROOM}obstacles: [{pacing}]\n{place}")
+    assert (severity, underlined) == ("warning", "[-2.6, 0.3]")
+    assert "no episode can begin here" in message
+
+
 @pytest.mark.parametrize("name", navsim.shipped_worlds())
 def test_shipped_worlds_are_not_odd(name):
     assert check_file(name).findings == ()
@@ -197,7 +213,7 @@ def test_paths_are_solved_when_asked_for_and_yaws_are_tried(monkeypatch):
         def __init__(self, world, *_):
             pass
 
-        def plan(self, pose, goal):
+        def plan(self, pose, goal, phases):
             tried.append((*pose.tolist(), *goal.tolist()))
             return None if goal[0] > 0 or pose[2] < 1.0 else np.array([0])
 

@@ -3,6 +3,7 @@
 import errno
 import os
 import stat
+import threading
 
 import pytest
 
@@ -87,3 +88,29 @@ def test_what_a_link_points_to_is_replaced(tmp_path):
     write_text(link, "after")
     assert link.is_symlink()
     assert path.read_text() == "after"
+
+
+def test_what_is_no_file_is_written_to_and_stays(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    read = []
+    reader = threading.Thread(target=lambda: read.append(pipe.read_text()))
+    reader.start()
+    write_text(pipe, "through")
+    reader.join(10.0)
+    assert read == ["through"]
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+    assert list(tmp_path.iterdir()) == [pipe]
+    write_text("/dev/null", "away")
+    assert stat.S_ISCHR(os.stat("/dev/null").st_mode)
+
+
+def test_a_file_that_is_read_only_is_not_replaced(tmp_path, monkeypatch):
+    path = tmp_path / "file"
+    write_text(path, "before")
+    path.chmod(0o444)
+    monkeypatch.setattr(os, "access", lambda file, mode: bool(file.stat().st_mode & 0o200))  # root may write anything
+    with pytest.raises(PermissionError, match=r"Permission denied: '.*file'$"):
+        write_text(path, "after")
+    assert path.read_text() == "before"
+    assert list(tmp_path.iterdir()) == [path]

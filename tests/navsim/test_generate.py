@@ -37,6 +37,7 @@ from navsim.simulator import Simulator
 from navsim.task import Path as TaskPath
 from navsim.world import Box, World
 from navsim.worldfile import load_world, parse_text
+from navsim.worldsource import parse_size
 
 CAMERA = DepthCamera()
 SEEN_UP_TO = CAMERA.mount_z + 0.4 * math.tan(math.radians(CAMERA.vertical_fov_deg / 2))
@@ -182,6 +183,15 @@ def test_another_process_makes_the_same_bytes():
 def test_a_room_is_read_back_from_its_file(kind):
     for index, world in enumerate(ROOMS[kind]):
         assert parse_text(room_text(RoomSettings(kind, seed=5), index, world)) == world
+
+
+def test_the_command_in_a_file_makes_it_again():
+    settings = RoomSettings("blocks", (7.123456789, 7.0), 0.1234567, seed=3)
+    room = settings.room(0)
+    words = room_text(settings, 0, room).splitlines()[0].split()
+    size, density = words[words.index("--size") + 1], words[words.index("--density") + 1]
+    assert size == "7.123456789,7"
+    assert RoomSettings("blocks", parse_size(size), float(density), seed=3).room(0) == room
 
 
 def test_rooms_are_written_one_by_one_and_never_over_others(tmp_path):

@@ -4,6 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
+import shapely
 
 import navsim
 from navsim.animation import animate_episode
@@ -16,7 +17,7 @@ from navsim.rearrange import rearrange
 from navsim.robot import NUM_ACTIONS, TURTLEBOT2
 from navsim.simulator import Simulator
 from navsim.task import Path, Task
-from navsim.world import World
+from navsim.world import Box, World
 
 SMALL = DepthCamera(width=20, height=16)
 AHEAD, FASTER = 4, 1
@@ -127,6 +128,19 @@ def test_no_robot_starts_in_a_walker_or_right_in_front_of_one():
         middle = simulator.ideal_depth[:, :33].min(axis=(1, 2))  # without the floor
         assert (middle >= 1.0).mean() > 0.9
         assert len(np.unique(simulator.phases[:, 0])) == 60
+
+
+def test_what_moves_may_pace_beside_something_long_that_can_be_pushed_but_not_in_it():
+    board = {"box": {"at": [0.0, 0.0], "size": [3.0, 0.1], "height": 0.2, "yaw_deg": 20.0, "pushable": {"mass": 2.0}}}
+    beside, across = walker([[-1.0, 0.9], [1.0, 0.9]]), walker([[0.0, -1.0], [0.0, 1.0]])
+    simulator = Simulator(straight_world(beside, across, board), 200, seed=3)
+    simulator.reset()
+    footprint = shapely.Polygon(Box(at=(0.0, 0.0), size=(3.0, 0.1), height=0.2, yaw_deg=20.0).footprints()[0][0])
+    distance = shapely.distance(footprint, shapely.points(simulator.obstacle_poses[:, :2, :2]))
+    assert distance.min() > 0.2 - 1e-5  # a walker's radius
+    reach = np.hypot(*simulator.obstacle_poses[:, 0, :2].T)
+    assert (reach < np.hypot(1.5, 0.05)).any()
+    assert distance[:, 1].min() < 0.25
 
 
 def test_a_start_that_is_never_free_is_told():

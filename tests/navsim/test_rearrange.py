@@ -92,3 +92,12 @@ def test_arrangements_differ_but_not_for_the_same_seed():
     assert first[0].to_dict()["obstacles"] != first[1].to_dict()["obstacles"]
     assert first[0].random_starts
     assert first[0].random_goals
+
+
+@pytest.mark.parametrize("reach", [0.05, 0.15, 0.3])
+def test_small_things_that_swing_stay_in_the_room(reach):
+    door = {"at": [reach / 2, 0.0], "size": [reach, 0.004], "height": 1.0}
+    motion = {"hinge": [0.0, 0.0], "swing_deg": [-27.0, 27.0], "speed_deg": 30.0}
+    world = World.from_dict({"format": 1, "size": [3.0, 3.0], "obstacles": [{"box": {**door, "motion": motion}}]})
+    rooms = rearrange(world, 200, np.random.default_rng(1), GAP)  # each is checked as it is made
+    assert sum(len(room.obstacles) for room in rooms) == 200

@@ -131,6 +131,9 @@ WRONG_GEOMETRY = {
     "a start outside": ROOM + "starts: [[9, 0]]\n",
     "a start at a wall": ROOM + "starts: [[3.4, 0]]\n",
     "a goal in a box": _box() + "goals: [[1, 1]]\n",
+    "a circuit that ends where it begins": ROOM
+    + "obstacles: [{cylinder: {at: [0, 0], radius: 0.1, height: 1, motion: {path: [[0, 0], [1, 0], [1, 1], [0, 0]], "
+    + "speed: 1, repeat: circuit}}}]\n",
     "cut off": ROOM
     + "obstacles: [{box: {at: [0, 0], size: [0.1, 7], height: 1}}]\nstarts: [[-1, 0]]\ngoals: [[1, 0]]\n",
     "no room": "format: 1\nsize: [0.3, 0.3]\n",

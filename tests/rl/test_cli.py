@@ -364,6 +364,14 @@ def test_a_world_is_drawn_where_it_says(room, tmp_path, monkeypatch, capsys, opt
     assert (tmp_path / picture).stat().st_size > 10_000
 
 
+def test_the_picture_of_a_world_is_called_like_its_file(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "hall.yaml").write_text("format: 1\nname: ../elsewhere/east\nsize: [3, 3]\n")
+    assert main(["world", "show", "hall.yaml"]) == 0
+    assert capsys.readouterr().out == "hall.png\n"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["hall.png", "hall.yaml"]
+
+
 # Benchmarks
 
 

@@ -8,6 +8,7 @@ import pytest
 
 import navsim
 import navsim.convert
+import navsim.worldfile
 from rl.cli import main
 
 DATA = Path(__file__).parents[1] / "navsim" / "convert" / "data"
@@ -81,6 +82,23 @@ def test_what_is_imported_by_default_replaces_nothing(tmp_path, monkeypatch, cap
     assert navsim.load_world("map_world.yaml").size == (7.0, 7.0)
     assert run("import", "map.yaml") == 2
     assert "exists already; name the file to write with -o" in capsys.readouterr().err
+
+
+def test_nothing_is_written_over_what_is_read(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("room.yaml").write_text(navsim.worldfile.dump_world(navsim.load_world("simple_eval")))
+    navsim.convert.save_ros_map(navsim.load_world("simple_eval"), "map.yaml")
+    Path("link.yaml").symlink_to("room.yaml")
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    for arguments in (
+        ["export", "room.yaml", "-o", tmp_path / "room.yaml"],
+        ["export", "room.yaml", "-o", "link.yaml"],
+        ["import", "map.yaml", "-o", "map.yaml"],
+    ):
+        assert run(*arguments) == 2
+        message = capsys.readouterr().err
+        assert message == f"{arguments[-1]}: is the file that is read; name another one to write with -o\n"
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 @pytest.mark.parametrize(

@@ -375,7 +375,10 @@ function handling(hit, { list, index }) {
       const reach = rotate(subtract(point, fixed), -yaw), step = stepOf(event);
       const size = [i, j].map((side, axis) => (side ? Math.max(SMALLEST, snapped(side * reach[axis], step)) : thing.size[axis]));
       const at = rounded(add(fixed, rotate([(i * size[0]) / 2, (j * size[1]) / 2], yaw)));
-      return set({ size, at: at.map((value, axis) => (Math.abs(value - thing.at[axis]) < 6e-4 ? thing.at[axis] : value)) });
+      const stays = at.map((value, axis) => (Math.abs(value - thing.at[axis]) < 6e-4 ? thing.at[axis] : value));
+      const [, ...way] = pathOf(thing) ?? [], by = subtract(stays, thing.at);
+      const path = [stays, ...way.map((p) => rounded(add(p, by)))];
+      return set({ size, at: stays, ...(way.length ? { motion: { ...settled(thing.motion), path } } : {}) });
     });
   }
   if (hit.handle === "corner") {

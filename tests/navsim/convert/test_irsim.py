@@ -79,6 +79,21 @@ obstacle:
         assert any(f"'{name}'" in note and reason in note for note in notes), (name, notes)
 
 
+def test_a_round_that_ends_where_it_begins_is_one(tmp_path):
+    text = """
+world: {width: 10, height: 10}
+obstacle:
+  - {kinematics: {name: omni}, shape: {name: circle, radius: 0.2}, state: [2, 4],
+     goal: [[[6, 4], [6, 6], [2, 4]]], behavior: {name: dash, loop: true}}
+"""
+    path = tmp_path / "world.yaml"
+    path.write_text(text)
+    world, notes = load_irsim(path)
+    assert world.obstacles[0].motion.path == ((-3.0, -1.0), (1.0, -1.0), (1.0, 1.0))
+    assert world.obstacles[0].motion.is_circuit
+    assert not any("first place" in note for note in notes)
+
+
 def test_a_way_that_is_not_free_is_left_out_and_listed(tmp_path):
     text = """
 world: {width: 10, height: 10}

@@ -165,6 +165,17 @@ def test_placement_frames_and_frames_of_nested_models_place_what_they_name(tmp_p
     assert 0.5 * (box.base + box.top) == pytest.approx(0.4)
 
 
+def test_a_frame_of_the_world_may_be_attached_to_a_model(tmp_path):
+    table = model(link(BOX, name="top"), "table", "<pose>3 1 0 0 0 0</pose>")
+    frame = "<frame name='on_table' attached_to='table'><pose>0 0 0.6 0 0 0</pose></frame>"
+    start = "<frame name='start' attached_to='table'><pose>-2 0 0 0 0 0</pose></frame>"
+    cup = model(link(CAN, name="l"), "cup", "<pose relative_to='on_table'>0 0.1 0 0 0 0</pose>")
+    scene = read_sdf(world_file(tmp_path, frame + start + table + cup))
+    assert scene.solids[1].centre == pytest.approx((3.0, 1.1))
+    assert 0.5 * (scene.solids[1].base + scene.solids[1].top) == pytest.approx(0.6)
+    assert (scene.starts[0].x, scene.starts[0].y) == pytest.approx((1.0, 1.0))
+
+
 def test_merged_includes_share_the_frames_of_the_model_that_includes_them(tmp_path):
     directory = tmp_path / "foot"
     directory.mkdir()

@@ -275,6 +275,14 @@ def test_what_moves_takes_its_way_along(page):
     page.until_text(moved.replace("[0.5, 1.5]", "[1.0, 2.0]"))
 
 
+def test_a_handle_of_what_moves_takes_its_way_along(page):
+    page.write("height: 1.0}   # by", "height: 1.0, motion: {path: [[1.0, 0.0], [1.0, 2.0]], speed: 1}}   # by")
+    page.click(page.at(1.0, 0.0))
+    page.until("return document.querySelectorAll('.handle.way').length > 0")
+    page.drag(page.at(1.5, 0.0), page.at(2.0, 0.1))
+    page.until_text("at: [1.25, 0.0], size: [1.5, 0.5], height: 1.0, motion: {path: [[1.25, 0.0], [1.25, 2.0]]")
+
+
 def test_the_camera_shows_what_is_in_front_of_it_and_how_far(page):
     before = page.image
     page.drag(page.centre(".camera"), page.at(-2.0, 2.0))

@@ -324,6 +324,9 @@ def test_a_new_file_can_begin_as_a_copy(tmp_path):
     file = EditedFile(tmp_path / "lab.yaml", like="simple_train")
     world = read_world(file.state().text).world
     assert (world.name, len(world.obstacles)) == ("lab", 7)
+    (tmp_path / "ours.yaml").write_text("name: theirs   # ours\nformat: 1\nsize: [4, 4]\n")
+    begun = EditedFile(tmp_path / "new.yaml", like=str(tmp_path / "ours.yaml")).state().text
+    assert begun == "name: new   # ours\nformat: 1\nsize: [4, 4]\n"
     (tmp_path / "b.yaml").write_text("")
     with pytest.raises(WorldError, match="exists already"):
         EditedFile(tmp_path / "b.yaml", like="simple_train")
