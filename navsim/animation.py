@@ -107,11 +107,11 @@ def animate_episode(
         The path.
 
     Raises:
-        ValueError: for a suffix that is neither of the two, or poses, Q-values or what is remembered of another shape,
-            or of another number of times.
+        ValueError: for a suffix that is neither of the two, a speed that is not positive, or poses, Q-values or what is
+            remembered of another shape, or of another number of times.
     """
     path = Path(path)
-    check_animation_path(path)
+    check_animation(path, speed)
     poses = np.asarray(poses, dtype=np.float64)
     if poses.ndim != 2 or poses.shape[1] != 3 or len(poses) == 0:
         raise ValueError(f"poses of shape {poses.shape} make no episode: give (K, 3), x, y and yaw at each time")
@@ -153,10 +153,12 @@ def animate_episode(
     return path
 
 
-def check_animation_path(path: Path) -> None:
-    """Raises ValueError for a file name that :func:`animate_episode` cannot write to."""
+def check_animation(path: Path, speed: float) -> None:
+    """Raises ValueError for a file name or a speed that :func:`animate_episode` has no use for."""
     if path.suffix.lower() not in ANIMATION_SUFFIXES:
         raise ValueError(f"{path}: animations are written as {' or '.join(ANIMATION_SUFFIXES)}")
+    if not (math.isfinite(speed) and speed > 0.0):
+        raise ValueError(f"speed must be positive; got {speed:g}")
 
 
 def _frames(episode: _Episode) -> Iterator[np.ndarray]:

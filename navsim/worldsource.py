@@ -129,7 +129,7 @@ def check_sources(source: WorldSource | Sequence[WorldSource]) -> None:
 def have_rooms_in_common(
     sources: Iterable[WorldSource], others: Iterable[WorldSource], seed: int = 0, other_seed: int = 0
 ) -> bool:
-    """Whether some world of ``sources`` is one of ``others``, as far as their names tell.
+    """Whether some world of ``sources`` is one of ``others``, whatever it is called; files that are missing are none.
 
     Args:
         sources: paths, names, or sources of generated rooms.
@@ -155,7 +155,13 @@ def short_name(source: WorldSource) -> str:
 
 def _identity(source: WorldSource, seed: int) -> object:
     # All rooms of the same settings count as the same: they share room 1, however many there are.
-    return parse_source(str(source), seed).settings if is_generated(source) else source
+    if is_generated(source):
+        return parse_source(str(source), seed).settings
+    try:
+        world = source if isinstance(source, World) else load_world(source)
+    except WorldError:
+        return source
+    return world.model_copy(update={"name": ""})
 
 
 def _listed(source: WorldSource | Sequence[WorldSource]) -> list[WorldSource]:

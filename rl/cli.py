@@ -215,7 +215,7 @@ def drive(
     world: Annotated[str, arg(metavar="WORLD")],
     output: Annotated[Path, arg(aliases=["-o"], metavar="FILE")] = Path("drive.mp4"),
     start: Annotated[int | None, arg(help_behavior_hint="(default: the first)")] = None,
-    goal: Annotated[int | None, arg(help_behavior_hint="(default: the farthest)")] = None,
+    goal: Annotated[int | None, arg(help_behavior_hint="(default: the farthest from a listed start)")] = None,
     seed: int = 0,
     speed: float = 2.0,
 ) -> None:
@@ -229,6 +229,8 @@ def drive(
         goal: Which of the world's goals, counted from 0 as in pictures and reports.
         seed: Seed of whatever the world leaves open: yaws of starts, starts, goals.
         speed: How many times faster than real time the film plays.
+
+    The camera is an ideal one, whatever noise, losses and latency the policy was trained with.
     """
     from rl.drive import drive as film
 
@@ -443,8 +445,10 @@ def _training_settings(arguments: Sequence[str]) -> tuple["TrainConfig", bool]:
         return config, False
     begun = dataclasses.replace(run.config, out=config.directory)
     asked, _ = _parse(arguments, begun)
+    if asked.autocast == "auto":  # which has been decided
+        asked = dataclasses.replace(asked, autocast=begun.autocast)
     run.check_resumable(asked)
-    return begun, True
+    return asked, True
 
 
 def _parse(arguments: Sequence[str], default: "TrainConfig") -> tuple["TrainConfig", bool]:

@@ -26,6 +26,8 @@ GREATEST_MARGIN = 0.2
 """Metres. Gaps in generated rooms are 1 m wide, and the depth rule makes a robot that turns effectively 0.8 m wide, or
 1.2 m with this margin: with more, there would be little left to train in."""
 
+GREATEST_SEED = 2**32 - 1
+
 _BEFORE = {"margin": 0.0, "symmetric": False}
 """Settings that came later, as all runs from before them had it, where that is not the default."""
 
@@ -241,8 +243,8 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
         for name in ("gamma", "epsilon_start", "epsilon_end", "tau"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 yield f"--{_flag(name)} must lie between 0 and 1; got {getattr(self, name)}"
-        if self.seed < 0:
-            yield f"--seed must not be negative; got {self.seed}"
+        if not 0 <= self.seed <= GREATEST_SEED:
+            yield f"--seed must lie between 0 and {GREATEST_SEED}; got {self.seed}"
         if not self.world:
             yield "--world needs at least one world file or name"
         for source in (*self.world, self.eval_world):
@@ -292,10 +294,18 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
                 f"--warmup-steps ({self.warmup_steps}) is too short: it takes more than --n-step ({self.n_step}) "
                 f"times --num-envs ({self.num_envs}) transitions until a return is known that can be learnt from"
             )
-        if self.warmup_steps >= self.total_steps:
+        if self.warmup_steps + self.steps_per_update > self.total_steps:
             yield (
-                f"--total-steps ({self.total_steps}) must exceed --warmup-steps ({self.warmup_steps}): "
-                "nothing would be learnt"
+                f"--total-steps ({self.total_steps}) must be at least --warmup-steps ({self.warmup_steps}) and "
+                f"--steps-per-update ({self.steps_per_update:g}) together: nothing would be learnt"
+            )
+        mirroring = [f"--no-{name}" for name in ("mirror", "symmetric") if getattr(self, name)]
+        left, right = self.randomization.camera_left
+        if mirroring and (self.camera.mount_y != 0.0 or left != -right):
+            yield (
+                f"--camera.mount-y ({self.camera.mount_y}) and --randomization.camera-left ({left} {right}) put the "
+                f"camera more to one side, so that a mirror image is not what this robot sees; add "
+                f"{' '.join(mirroring)}"
             )
         if self.camera.width < LEAST_WIDTH or self.camera.height < LEAST_HEIGHT:
             yield (

@@ -11,7 +11,7 @@ import torch
 from rich.console import Console
 from tensordict import TensorDictBase
 
-from navsim.animation import animate_episode, check_animation_path
+from navsim.animation import animate_episode, check_animation
 from navsim.sensor import SensorModel
 from navsim.world import Goal, Start
 from navsim.worldsource import world_from
@@ -40,7 +40,8 @@ def drive(
         world: a world file, the name of a shipped world, or a generated room, such as ``generate:clutter,seed=3``.
         output: film to write, ``.mp4`` or ``.gif``.
         start: which of the world's starts, counted from 0 as in pictures, reports and messages; by default the first.
-        goal: which of the world's goals, counted from 0; by default the one that is farthest from the start.
+        goal: which of the world's goals, counted from 0; by default the one that is farthest from the start, or the
+            first where starts are random.
         seed: of what the world leaves open: yaws, random starts and goals.
         speed: how many times faster than real time the film plays.
         console: where progress is shown; nowhere by default.
@@ -49,11 +50,12 @@ def drive(
         what became of the path.
 
     Raises:
-        ValueError: for a file name with another suffix, or a start or goal that the world does not have.
+        ValueError: for a file name with another suffix, a start or goal that the world does not have, or a speed or
+            seed that cannot be used.
         RunError: for a policy that there is not, or that cannot be used.
         navsim.WorldError: for a world that cannot be used.
     """
-    check_animation_path(output)
+    check_animation(output, speed)
     room = world_from(world)
     starts = _chosen("start", room.starts, start, room.name)
     goals = _chosen("goal", room.goals, goal, room.name)

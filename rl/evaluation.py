@@ -135,11 +135,14 @@ class PathResult:
 
     @property
     def spl(self) -> float:
-        """Success weighted by path length: S·l / max(p, l); a start on the goal's disc counts as S alone."""
+        """Success weighted by path length: S·l / max(p, l).
+
+        A start on the goal's disc counts as S alone, and so does a way that was pushed free, where there was none.
+        """
         if self.outcome != "success":
             return 0.0
         shortest = self.shortest_path_length
-        return shortest / max(self.path_length, shortest) if shortest > 0.0 else 1.0
+        return shortest / max(self.path_length, shortest) if 0.0 < shortest < math.inf else 1.0
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON; positions to 0.1 mm, yaws to 0.0001 rad."""
@@ -154,7 +157,7 @@ class PathResult:
             "steps": self.steps,
             "reward": self.reward,
             "path_length": self.path_length,
-            "shortest_path_length": self.shortest_path_length,
+            "shortest_path_length": self.shortest_path_length if math.isfinite(self.shortest_path_length) else None,
             "phases": list(self.phases),
             "actions": self.actions.tolist(),
             "trajectory": np.round(self.trajectory, 4).tolist(),
@@ -172,7 +175,7 @@ class PathResult:
             too_near=values.get("too_near", False),
             phases=tuple(values.get("phases", ())),
             reward=values["reward"],
-            shortest_path_length=values["shortest_path_length"],
+            shortest_path_length=math.inf if (shortest := values["shortest_path_length"]) is None else shortest,
             trajectory=np.array(values["trajectory"], dtype=np.float64).reshape(-1, 3),
             actions=np.array(values["actions"], dtype=np.int64),
             world_index=values.get("world_index", 0),
@@ -300,6 +303,8 @@ class Evaluation:
             if values["format"] != _FORMAT:
                 raise ValueError(f"its format is {values['format']!r}; this version reads format {_FORMAT}")
             paths = tuple(PathResult.from_dict(path) for path in values["paths"])
+            if not paths:
+                raise ValueError("it has no paths")
             worlds = tuple(values.get("worlds", ()))  # files of earlier versions have one world
             if not all(0 <= path.world_index < max(1, len(worlds)) for path in paths):
                 raise ValueError(f"a path lies in a world that it does not name among {list(worlds)}")
@@ -406,6 +411,8 @@ def evaluate(
         navsim.WorldError: for a world that cannot be used.
         ValueError: for settings that cannot be used.
     """
+    if seed < 0:
+        raise ValueError(f"seed must not be negative; got {seed}")
     worlds = worlds_from(world)
     if not worlds:
         raise ValueError("an evaluation needs at least one world; got none")

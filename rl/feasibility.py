@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 from collections.abc import Iterator
@@ -10,6 +11,9 @@ from pathlib import Path
 import torch
 
 from navsim.errors import WorldError
+from navsim.planner import shortest_path_length
+from navsim.robot import TURTLEBOT2
+from navsim.world import Goal, Start, World
 from navsim.worldfile import load_world
 from navsim.worldsource import is_generated
 from rl.checkpoints import KEPT
@@ -38,9 +42,12 @@ def obstacles(config: TrainConfig) -> Iterator[str]:
     for source in dict.fromkeys((*config.world, config.eval_world)):
         if not is_generated(source):
             try:
-                load_world(source)
+                world = load_world(source)
             except WorldError as error:
                 yield str(error)
+                continue
+            if source == config.eval_world:
+                yield from _ways_that_are_too_narrow(world, config)
     if config.device == "cuda" and not torch.cuda.is_available():
         yield NO_CUDA
     directory = config.directory.absolute()
@@ -70,6 +77,28 @@ def obstacles(config: TrainConfig) -> Iterator[str]:
                 f"{wanted / _GIB:.2f} GiB; make room, choose another directory (--out), or lower --replay-capacity "
                 f"({config.replay_capacity})"
             )
+
+
+def _ways_that_are_too_narrow(world: World, config: TrainConfig) -> Iterator[str]:
+    """The first path of a world that is evaluated in, along which the run's robot does not fit.
+
+    World files are checked for the usual robot.
+    """
+    robot = config.robot
+    if robot.radius <= TURTLEBOT2.radius and robot.height <= TURTLEBOT2.height:
+        return
+    for i, j in world.paths:
+        start, goal = world.starts[i], world.goals[j]
+        assert isinstance(start, Start)
+        assert isinstance(goal, Goal)
+        length = shortest_path_length(world, start.at, goal.at, robot.radius, robot.height, config.task.goal_radius)
+        if not math.isfinite(length):
+            yield (
+                f"{config.eval_world}: no way from starts[{i}] to goals[{j}] is wide and high enough for this robot "
+                f"(--robot.radius {robot.radius:g}, --robot.height {robot.height:g}); make it smaller, or choose "
+                "another room (--eval-world)"
+            )
+            return
 
 
 def checkpoint_size(config: TrainConfig) -> int:

@@ -1,9 +1,15 @@
-"""The end of a run: its best policy beside the baselines in a room that it has never seen, and the report on it all."""
+"""The end of a run: its best policy beside the baselines in a room that it has never seen, and the report on it all.
+
+The best weights are those of the best of the evaluations on the way, which drive the same paths. So the last weights,
+which nothing was chosen by, stand beside them.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import torch
 from rich.console import Console
 from torchrl.modules import QValueActor
 
@@ -11,7 +17,7 @@ from navsim.worldsource import worlds_from
 from rl.baselines import BASELINES, Baseline, make_baseline
 from rl.evaluation import comparison_table, evaluate_as_trained, few_paths
 from rl.policies import load_policy
-from rl.report import write_report
+from rl.report import LAST_WEIGHTS, write_report
 from rl.run import Run
 
 
@@ -31,7 +37,10 @@ def finish(run: Run, console: Console) -> Path:
     """
     config = run.config
     worlds = worlds_from(run.with_its_worlds(config).eval_world)
-    policies: dict[str, QValueActor | Baseline] = {f"D3QN-{config.model}": load_policy(run.directory)}
+    own, last = f"D3QN-{config.model}", load_policy(run.directory, weights="last")
+    policies: dict[str, QValueActor | Baseline] = {own: load_policy(run.directory)}
+    if not _are_the_same(policies[own], last):
+        policies[f"{own}{LAST_WEIGHTS}"] = last
     policies |= {name: make_baseline(name, config.camera) for name in BASELINES}
     evaluations = []
     for name, policy in policies.items():
@@ -45,3 +54,8 @@ def finish(run: Run, console: Console) -> Path:
         report = write_report(run)
     console.print(f"report: {report}")
     return report
+
+
+def _are_the_same(policy: Any, other: Any) -> bool:
+    weights, others = policy.state_dict(), other.state_dict()
+    return all(torch.equal(weights[name], others[name]) for name in weights)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import importlib.resources
 import json
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from navsim.draw import draw_depth_stack, figure_png, new_figure
 from navsim.files import atomic_write
 from navsim.raycast import render_depth
 from navsim.scan import obstacle_depth
+from navsim.sensor import SensorModel
 from navsim.task import heading
 from navsim.world import World
 from navsim.worldsource import TRAINING_SEED, have_rooms_in_common, short_name, worlds_from
@@ -39,6 +41,9 @@ from rl.observation import NUM_FRAMES, history_length
 from rl.policies import load_policy
 from rl.run import Run, RunError
 from rl.surroundings import remembered_at_end
+
+LAST_WEIGHTS = " last weights"
+"""Ends the name of the evaluation of a run's last weights, where these are not its best."""
 
 
 def write_report(run: Run) -> Path:
@@ -69,12 +74,12 @@ def _template() -> jinja2.Template:
 
 
 def _evaluations(run: Run) -> list[Evaluation]:
-    """The final evaluations: that of the run's policy first, then the baselines in their usual order."""
-    files = sorted((run.directory / "evaluation").glob("*.json"))
-    evaluations = {file.stem: Evaluation.load(file) for file in files}
-    own = [name for name in evaluations if name not in BASELINES]
+    """The final evaluations: the run's policy first, then its last weights, and the baselines in their usual order."""
+    evaluations = {file.stem: Evaluation.load(file) for file in (run.directory / "evaluation").glob("*.json")}
+    own = sorted(name for name in evaluations if name not in BASELINES)
     if not own:
-        raise RunError(f"{run.directory} holds no evaluation of its policy: the run has not been finished")
+        again = shlex.join(["navsim", "train", "--resume", "--report", "--out", str(run.directory)])
+        raise RunError(f"{run.directory} holds no evaluation of its policy; make it, and the report: {again}")
     return [evaluations[name] for name in (*own, *BASELINES) if name in evaluations]
 
 
@@ -87,6 +92,7 @@ def _contents(run: Run, config: TrainConfig, evaluations: Sequence[Evaluation]) 
     unseen = not have_rooms_in_common(config.world, [config.eval_world], TRAINING_SEED + config.seed)
     trained_in = ", ".join(map(short_name, config.world))
     several = len(policy.worlds) > 1
+    shown = [evaluation for evaluation in evaluations if not evaluation.policy.endswith(LAST_WEIGHTS)]
     return {
         "title": f"{run.directory.name}: {policy.success_rate:.0%} of {policy.world}",
         "run_name": run.directory.name,
@@ -94,6 +100,7 @@ def _contents(run: Run, config: TrainConfig, evaluations: Sequence[Evaluation]) 
         + (f", {_never_seen(several)}" if unseen else ""),
         "unseen": unseen,
         "several": several,
+        "chosen": _how_chosen(policy, evaluations, len(logged)),
         "planned": any(evaluation.policy == "oracle" for evaluation in evaluations),
         "summary": f"Trained in {trained_in} with preset {config.preset}.",
         "facts": [
@@ -106,11 +113,20 @@ def _contents(run: Run, config: TrainConfig, evaluations: Sequence[Evaluation]) 
         "world": policy.world,
         "control_period": f"{config.task.control_period:g}",
         "animation": _animation(run, config, world, drawn),
-        "figures": list(_figures(run, config, world, drawn, evaluations, metrics, logged)),
+        "figures": list(_figures(run, config, world, drawn, shown, metrics, logged)),
         "seed": config.seed,
         "settings": list(_flat(config.to_dict())),
         "versions": list(_flat(versions)),
     }
+
+
+def _how_chosen(policy: Evaluation, evaluations: Sequence[Evaluation], count: int) -> str:
+    """A sentence on what the weights were chosen by, which makes their share of goals a little too good."""
+    if count <= 1:
+        return ""
+    chosen = f"{policy.policy} has the weights of the best of {count} evaluations, which drove the same paths"
+    beside = any(evaluation.policy.endswith(LAST_WEIGHTS) for evaluation in evaluations)
+    return f"{chosen}; nothing chose the last weights." if beside else f"{chosen}."
 
 
 def _never_seen(several: bool) -> str:
@@ -193,7 +209,8 @@ def _figures(
             "Training",
             (
                 training_curves(metrics, logged),
-                f"Lines: while training, with exploration. Points: evaluations in {evaluations[0].world}, greedy.",
+                f"Lines: while training, with exploration{_stricter(config)}. "
+                f"Points: evaluations in {evaluations[0].world}, greedy.",
             ),
         )
     yield _block(
@@ -218,17 +235,23 @@ def _figures(
     )
     actor = load_policy(run.directory)
     moments = _telling_moments(world, examples[0], config)
+    ideal = config.sensor == SensorModel()
+    what_it_does = "; the greatest is what it does" if ideal else ". These images are ideal; it saw others"
     yield _block(
         "What the network sees and thinks",
         *(
             (
                 _depth_stack(actor, config, world, examples[0], step),
                 f"{when}, {step * config.task.control_period:.1f} s into the drive from {describe(examples[0])}: the "
-                "four depth images, the goal's direction and the seven Q-values; the greatest is what it does.",
+                f"four depth images, the goal's direction and the seven Q-values{what_it_does}.",
             )
             for when, step in moments
         ),
     )
+
+
+def _stricter(config: TrainConfig) -> str:
+    return f", a robot and rules that are {config.margin:g} m stricter" if config.margin > 0.0 else ""
 
 
 def _block(heading: str, *figures: tuple[Figure, str], narrow: bool = False) -> dict[str, Any]:

@@ -376,8 +376,11 @@ class Run:
 
 
 def settings_of(config: TrainConfig) -> dict[str, Any]:
-    """What a run's settings are compared by: all but where the directory is, which may be moved."""
-    return {name: value for name, value in config.to_dict().items() if name != "out"}
+    """What a run's settings are compared by.
+
+    All but where the directory is, which may be moved, and whether a report is written, which may be wanted later.
+    """
+    return {name: value for name, value in config.to_dict().items() if name not in ("out", "report")}
 
 
 def versions() -> dict[str, str]:

@@ -6,6 +6,7 @@ import pytest
 
 from navsim import WorldError, generate_world, load_world, worlds_from
 from navsim.generate import RoomSettings
+from navsim.worldfile import dump_world
 from navsim.worldsource import (
     TRAINING_SEED,
     GeneratedRooms,
@@ -83,7 +84,7 @@ def test_settings_that_no_room_fulfils_are_told_with_their_source():
         worlds_from("generate:office,size=4x4")
 
 
-def test_rooms_to_train_in_and_to_evaluate_in_are_others_unless_seeds_say_so():
+def test_rooms_to_train_in_and_to_evaluate_in_are_others_unless_seeds_say_so(tmp_path):
     same = "generate:clutter,count=5"
     assert not have_rooms_in_common([same], [same], TRAINING_SEED)
     assert have_rooms_in_common(["simple_train", "generate:clutter,seed=1,count=5"], ["generate:clutter,seed=1"])
@@ -91,6 +92,10 @@ def test_rooms_to_train_in_and_to_evaluate_in_are_others_unless_seeds_say_so():
     assert have_rooms_in_common(["generate:clutter"], [f"generate:clutter,seed={TRAINING_SEED}"], TRAINING_SEED)
     assert have_rooms_in_common(["complex_train"], ["complex_train"])
     assert not have_rooms_in_common(["complex_train"], ["complex_eval"])
+    (tmp_path / "copy.yaml").write_text(dump_world(load_world("complex_eval")))
+    assert have_rooms_in_common([str(tmp_path / "copy.yaml")], ["complex_eval"])
+    assert not have_rooms_in_common([str(tmp_path / "copy.yaml")], ["complex_train"])
+    assert not have_rooms_in_common([str(tmp_path / "missing.yaml")], ["complex_train"])
 
 
 def test_names_for_directories_keep_the_settings():

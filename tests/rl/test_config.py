@@ -110,7 +110,8 @@ def test_every_setting_belongs_to_one_group_of_the_help():
         ({"total_steps": 0}, "--total-steps must be positive"),
         ({"learning_rate": float("nan")}, "--learning-rate must be positive"),
         ({"gamma": 1.5}, "--gamma must lie between 0 and 1"),
-        ({"seed": -1}, "--seed must not be negative"),
+        ({"seed": -1}, "--seed must lie between 0 and 4294967295; got -1"),
+        ({"seed": 2**32}, "--seed must lie between 0 and 4294967295; got 4294967296"),
         ({"margin": -0.01}, "--margin must lie between 0 and 0.2 m; got -0.01"),
         ({"margin": 0.3}, "--margin must lie between 0 and 0.2 m; got 0.3"),
         ({"margin": math.nan}, "--margin must lie between 0 and 0.2 m; got nan"),
@@ -130,7 +131,17 @@ def test_every_setting_belongs_to_one_group_of_the_help():
             {"n_step": 12, "num_envs": 16, "steps_per_batch": 16, "warmup_steps": 143},
             "--warmup-steps (143) is too short: it takes more than --n-step (12) times --num-envs (16) transitions",
         ),
-        ({"total_steps": 4_000, "warmup_steps": 5_000}, "--total-steps (4000) must exceed --warmup-steps (5000)"),
+        (
+            {"total_steps": 4_000, "warmup_steps": 5_000},
+            "--total-steps (4000) must be at least --warmup-steps (5000) and --steps-per-update (16) together",
+        ),
+        ({"total_steps": 5_010}, "--total-steps (5010) must be at least --warmup-steps (5000) and --steps-per-update"),
+        ({"steps_per_update": 1e9}, "nothing would be learnt"),
+        ({"camera": DepthCamera(mount_y=0.1)}, "is not what this robot sees; add --no-mirror --no-symmetric"),
+        (
+            {"randomization": Randomization(camera_left=(0.0, 0.02)), "symmetric": False},
+            "--randomization.camera-left (0.0 0.02) put the camera more to one side",
+        ),
         (
             {"randomization": Randomization(camera_pitch_deg=(0.0, 40.0))},
             "randomization camera_height (0.0, 0.0) and camera_pitch_deg (0.0, 40.0) go too far: the camera sees",
@@ -153,6 +164,12 @@ def test_settings_that_cannot_work_are_refused_by_their_option(changes, named):
     with pytest.raises(ConfigError) as refusal:
         TrainConfig(**changes)
     assert named in str(refusal.value)
+
+
+def test_a_camera_on_one_side_is_fine_without_mirror_images():
+    sides = {"camera": DepthCamera(mount_y=0.1), "mirror": False, "symmetric": False}
+    assert TrainConfig(**sides).camera.mount_y == 0.1
+    assert TrainConfig(randomization=Randomization(camera_left=(-0.02, 0.02))).mirror
 
 
 def test_all_problems_are_told_at_once():

@@ -117,6 +117,8 @@ def test_a_drive_makes_a_film(run, tmp_path, capsys):
     ("arguments", "message"),
     [
         (["oracle", "--world", "simple_eval", "-o", "a.avi"], r"a.avi: animations are written as .gif or .mp4"),
+        (["oracle", "--world", "simple_eval", "--speed", "0"], "speed must be positive; got 0"),
+        (["oracle", "--world", "simple_eval", "--seed", "-1"], "seed must not be negative; got -1"),
         (["oracle", "--world", "simple_eval", "--start", "9"], 'world "simple_eval" has starts 0 to 4; --start asks'),
         (["pretrained:nonsense", "--world", "simple_eval"], 'no policy "pretrained:nonsense"'),
         (["oracle", "--world", "generate:clutter,count=2"], "one world is wanted here, not 2; leave count out"),

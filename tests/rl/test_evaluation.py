@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -84,6 +85,7 @@ def test_spl_of_cases_worked_out_by_hand():
     assert result("success", driven=2.9, shortest=3.0).spl == 1.0  # never more than one
     assert result("collision", driven=3.0, shortest=3.0).spl == 0.0
     assert result("success", driven=0.04, shortest=0.0).spl == 1.0  # it began on the goal's disc
+    assert result("success", driven=4.0, shortest=math.inf).spl == 1.0  # it pushed its way free
     paths = (result("success", 4.0, 3.0), result("timeout", 9.0, 3.0), result("success", 3.0, 3.0))
     assert Evaluation("p", "w", 0, paths).spl == pytest.approx((0.75 + 0.0 + 1.0) / 3)
 
@@ -396,6 +398,17 @@ def test_worlds_survive_json_and_older_files_have_one(tmp_path):
         Evaluation.from_dict(values)
 
 
+def test_a_path_without_a_way_survives_json():
+    evaluation = Evaluation("p", "w", 0, (result("collision", driven=1.0, shortest=math.inf),))
+    (path,) = Evaluation.from_json(evaluation.to_json()).paths
+    assert path.shortest_path_length == math.inf
+
+
+def test_seeds_are_not_negative():
+    with pytest.raises(ValueError, match="seed must not be negative; got -1"):
+        drive(ahead, seed=-1)
+
+
 def test_json_round_trip(tmp_path):
     evaluation = drive(ahead)
     summary = json.loads(evaluation.to_json())["summary"]
@@ -412,7 +425,14 @@ def test_json_round_trip(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "reason"), [("{", "Expecting"), ("[]", ""), ('{"format": 2}', "format is 2"), ('{"format": 1}', "'paths'")]
+    ("text", "reason"),
+    [
+        ("{", "Expecting"),
+        ("[]", ""),
+        ('{"format": 2}', "format is 2"),
+        ('{"format": 1}', "'paths'"),
+        ('{"format": 1, "paths": []}', "it has no paths"),
+    ],
 )
 def test_a_file_that_is_no_evaluation_is_named(tmp_path, text, reason):
     path = tmp_path / "broken.json"

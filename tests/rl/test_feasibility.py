@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from navsim.camera import DepthCamera
+from navsim.robot import Robot
 from rl import feasibility
 from rl.cli import main
 from rl.config import LEAST_HEIGHT, LEAST_WIDTH, PRESETS, ConfigError, TrainConfig
@@ -163,3 +164,14 @@ def test_settings_without_sense_are_told_as_such(tmp_path, capsys):
     for sentence in ("--replay-capacity must be positive; got -1", "--num-envs must be positive", "--atoms must be"):
         assert sentence in told
     assert "GiB" not in told
+
+
+def test_a_room_that_is_too_narrow_for_the_robot_is_refused_before_training(tmp_path):
+    path = tmp_path / "gap.yaml"
+    walls = "{box: {at: [0, 1.75], size: [0.1, 3], height: 1}}, {box: {at: [0, -1.75], size: [0.1, 3], height: 1}}"
+    places = "starts: [[-2, 0]]\ngoals: [[-2, 2], [2, 0]]"
+    path.write_text(f"format: 1\nsize: [7, 6.5]\nobstacles: [{walls}]\n{places}\n")
+    (told,) = obstacles(eval_world=str(path), robot=Robot(radius=0.3))
+    assert told.startswith(f"{path}: no way from starts[0] to goals[1] is wide and high enough for this robot")
+    assert "--robot.radius 0.3" in told
+    assert obstacles(eval_world=str(path), robot=Robot(radius=0.2)) == []

@@ -8,6 +8,8 @@ from rich.console import Console
 from small_runs import tiny_config
 
 import rl.finish
+from rl.baselines import BASELINES, make_baseline
+from rl.evaluation import evaluate
 from rl.learner import make_actor
 from rl.run import Run
 
@@ -19,7 +21,8 @@ class EnoughError(Exception):
 def test_a_finished_run_is_evaluated_with_its_own_seed_and_settings(tmp_path, monkeypatch):
     run = Run.create(tiny_config(tmp_path / "run", seed=7))
     torch.manual_seed(0)
-    run.save_policy("policy", make_actor(run.config).state_dict())
+    for name in ("policy", "policy_last"):
+        run.save_policy(name, make_actor(run.config).state_dict())
     told = {}
 
     def note(policy, config, worlds, **settings):
@@ -31,3 +34,25 @@ def test_a_finished_run_is_evaluated_with_its_own_seed_and_settings(tmp_path, mo
         rl.finish.finish(run, Console(quiet=True))
     assert (told["seed"], told["name"], told["config"]) == (7, "D3QN-I", run.config)
     assert told["worlds"] == ["hall"]
+
+
+@pytest.mark.parametrize("differ", [True, False])
+def test_last_weights_stand_beside_the_best_where_they_are_others(tmp_path, monkeypatch, differ):
+    run = Run.create(tiny_config(tmp_path / "run"))
+    for name in ("policy_last", "policy"):
+        torch.manual_seed(int(differ and name == "policy"))
+        run.save_policy(name, make_actor(run.config).state_dict())
+    driven = {}
+
+    def drive(policy, config, worlds, *, name, **settings):
+        driven[name] = policy
+        return evaluate(make_baseline("straight"), "simple_eval", name=name, num_paths=1)
+
+    monkeypatch.setattr(rl.finish, "evaluate_as_trained", drive)
+    monkeypatch.setattr(rl.finish, "write_report", lambda run: tmp_path)
+    rl.finish.finish(run, Console(quiet=True))
+    assert list(driven) == ["D3QN-I", *(["D3QN-I last weights"] if differ else []), *BASELINES]
+    assert {path.stem for path in (run.directory / "evaluation").glob("*.json")} == set(driven)
+    for name, weights in (("D3QN-I", "policy"), ("D3QN-I last weights", "policy_last"))[: 1 + differ]:
+        saved = torch.load(run.directory / f"{weights}.pt", weights_only=True)
+        assert all(torch.equal(saved[key], value) for key, value in driven[name].state_dict().items())

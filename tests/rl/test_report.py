@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import json
+import shutil
 from html.parser import HTMLParser
 
 import imageio.v3 as imageio
@@ -162,12 +163,24 @@ def test_of_several_rooms_all_are_counted_and_the_first_is_drawn(run, tmp_path):
 
 def test_a_run_that_was_not_finished_says_so(run, tmp_path):
     unfinished = Run.create(TrainConfig(out=tmp_path / "young"))
-    with pytest.raises(RunError, match="no evaluation of its policy"):
+    with pytest.raises(RunError, match=r"no evaluation of its policy; .* navsim train --resume --report --out .*young"):
         write_report(unfinished)
 
 
+def test_what_chose_the_weights_is_told_beside_the_last_ones(run, tmp_path):
+    copied = Run(shutil.copytree(run.directory, tmp_path / "chosen"))
+    evaluate(make_baseline("straight"), WORLD, name="D3QN-I last weights").save(
+        copied.directory / "evaluation" / "D3QN-I last weights.json"
+    )
+    copied.evaluations.append(copied.evaluations.rows()[-1])
+    page = Page(write_report(copied).read_text(encoding="utf-8"))
+    assert [row[0].strip() for row in page.cells if row] == ["D3QN-I", "D3QN-I last weights", "random", "reactive"]
+    text = " ".join(" ".join(page.text).split())
+    count = len(copied.evaluations.rows())
+    assert f"D3QN-I has the weights of the best of {count} evaluations, which drove the same paths; nothing" in text
+
+
 def test_a_run_without_versions_says_so(run, tmp_path):
-    import shutil
 
     copy = tmp_path / "copy"
     shutil.copytree(run.directory, copy)
