@@ -106,6 +106,11 @@ ROWS: dict[str, Row] = {
     "S-fast-longer": Row("preset fast, D3QN-S, 200,000 steps", {"model": "S", **_TWICE_AS_LONG}, "fast"),
     "fast-linear": Row("preset fast, sees depth as it is", {"depth_scale": "linear"}, "fast"),
     "fast-no-memory": Row("preset fast without the memory", {"inputs": ("depth", "heading", "command")}, "fast"),
+    "fast-no-memory-centred": Row(
+        "preset fast without the memory, what conv1 sees centred on zero",
+        {"inputs": ("depth", "heading", "command"), "centred": True},
+        "fast",
+    ),
     "fast-no-command": Row("preset fast without its command", {"inputs": ("depth", "heading", "surroundings")}, "fast"),
     "fast-12-steps": Row(
         "preset fast, twelve-step returns, fewer random actions", {"n_step": 12, "epsilon_end": 0.1}, "fast"

@@ -36,6 +36,7 @@ class CategoricalD3QN(D3QN):
         inputs: what it sees, see ``D3QN``.
         depth_scale: how, see ``D3QN``.
         heading_init: see ``D3QN``.
+        centred: see ``D3QN``.
         atoms: returns that are told apart, at least 2.
         value_range: the least and the greatest of them; they are evenly spaced.
 
@@ -58,6 +59,7 @@ class CategoricalD3QN(D3QN):
         depth_scale: DepthScale = "linear",
         *,
         heading_init: HeadingInit = "spread",
+        centred: bool = False,
         atoms: int = 51,
         value_range: tuple[float, float] = (-1.5, 2.5),
     ) -> None:
@@ -66,7 +68,7 @@ class CategoricalD3QN(D3QN):
                 f"a categorical head needs at least 2 atoms in a range of returns from less to more; got {atoms} atoms "
                 f"from {value_range[0]} to {value_range[1]}"
             )
-        super().__init__(model, height, width, inputs, depth_scale, heading_init=heading_init)
+        super().__init__(model, height, width, inputs, depth_scale, heading_init=heading_init, centred=centred)
         self.value = nn.Linear(STREAM_WIDTH, atoms)
         self.advantage = nn.Linear(STREAM_WIDTH, NUM_ACTIONS * atoms)
         self.reset_parameters()
@@ -101,12 +103,17 @@ def make_categorical_actor(
     depth_scale: DepthScale = "linear",
     *,
     heading_init: HeadingInit = "spread",
+    centred: bool = False,
     atoms: int = 51,
     value_range: tuple[float, float] = (-1.5, 2.5),
 ) -> QValueActor:
     """``rl.make_q_actor`` with a categorical head; arguments and errors as for ``CategoricalD3QN``."""
     network = CategoricalD3QN(
-        *(model, height, width, inputs, depth_scale), heading_init=heading_init, atoms=atoms, value_range=value_range
+        *(model, height, width, inputs, depth_scale),
+        heading_init=heading_init,
+        centred=centred,
+        atoms=atoms,
+        value_range=value_range,
     )
     return QValueActor(network, in_keys=keys_of(inputs), spec=Categorical(NUM_ACTIONS))
 

@@ -75,6 +75,9 @@ class Experiment:
     heading_init: HeadingInit = "spread"
     """How D3QN-S's weights for the heading begin: "spread", so that it matters from the first update on, or "glorot",
     as all other weights do."""
+    centred: bool = False
+    """Whether images and D3QN-I's heading plane are centred on zero before they enter the network, so that fewer of its
+    first layer's kernels fall silent for ever."""
     symmetric: bool = True
     """Whether evaluations, and whoever loads the policy, go by the mean of the network's values for what it sees and
     for the mirror image of that (left and right swapped), each turn's with that of the turn the other way. Training is

@@ -140,11 +140,14 @@ def make_actor(config: TrainConfig) -> QValueActor:
         return make_categorical_actor(
             *(config.model, height, width, config.inputs, config.depth_scale),
             heading_init=config.heading_init,
+            centred=config.centred,
             atoms=config.atoms,
             value_range=returns,
         )
     return make_q_actor(
-        *(config.model, height, width, config.inputs, config.depth_scale), heading_init=config.heading_init
+        *(config.model, height, width, config.inputs, config.depth_scale),
+        heading_init=config.heading_init,
+        centred=config.centred,
     )
 
 

@@ -63,6 +63,10 @@ _FASTEST = tuple(max(abs(command[axis] or 0.0) for command in ACTIONS) for axis 
 _TOUCHING = 0.2
 """Metres from a robot's centre: what it remembers nearer counts 1, what is farther this over the distance."""
 
+_MEAN_DEPTH: dict[DepthScale, float] = {"linear": 0.5, "inverse": 0.25}
+"""Of the pixels that robots see in ``complex_train``, rounded: 0.49 and 0.26."""
+_MEAN_HEADING = 0.5
+
 STREAM_WIDTH = 512
 """Units in the hidden layer of each stream."""
 
@@ -141,6 +145,8 @@ class D3QN(nn.Module):
         depth_scale: what becomes of a depth d between 0 and 1, of the greatest: ``"linear"``, d itself, or
             ``"inverse"``, 0.08 / max(d, 0.08). It is no weight, and a state dict does not tell it.
         heading_init: how D3QN-S's weights for the heading begin; D3QN-I has none of its own.
+        centred: whether what conv1 sees, images and D3QN-I's heading, is lessened by what it is on average, so that it
+            is negative as often as positive.
 
     Attributes:
         symmetric: whether calling it gives the mean of its values for what it sees and for the mirror image of that,
@@ -175,6 +181,7 @@ class D3QN(nn.Module):
         depth_scale: DepthScale = "linear",
         *,
         heading_init: HeadingInit = "spread",
+        centred: bool = False,
     ) -> None:
         super().__init__()
         if model not in get_args(Model):
@@ -196,6 +203,7 @@ class D3QN(nn.Module):
         self.inputs = frozenset(inputs)
         self.depth_scale = depth_scale
         self.heading_init = heading_init
+        self.centred = centred
         self.symmetric = False
         self.image_shape = (NUM_FRAMES, height, width)
 
@@ -215,7 +223,7 @@ class D3QN(nn.Module):
 
         if "command" in self.inputs:
             self.register_buffer("_fastest", torch.tensor(_FASTEST), persistent=False)
-        if model == "I":
+        if model == "I" or centred:
             self.register_buffer("_coverage", _coverage(_CONVOLUTIONS[0], height, width), persistent=False)
 
     def reset_parameters(self) -> None:
@@ -331,10 +339,13 @@ class D3QN(nn.Module):
         return torch.cat([features, appended.to(dtype)], dim=1) if appended.shape[1] else features
 
     def _offsets(self) -> Tensor:
-        """What conv1's response lacks, ``(n, H'·W'·32)``, to be added in these ``_shares``: its bias and, for D3QN-I,
-        its heading channel's response to a plane of ones."""
+        """What conv1's response lacks, ``(n, H'·W'·32)``, to be added in these ``_shares``: its bias, less what centred
+        images are lessened by, and, for D3QN-I, its heading channel's response to a plane of ones."""
         rows, columns = self.conv1.output_size
         bias = self.conv1.bias.expand(1, rows * columns, -1)
+        if self.centred and "depth" in self.inputs:
+            of_images = self._coverage @ self.conv1.weight[:, :NUM_FRAMES].sum(1).flatten(1).t()
+            bias = bias - _MEAN_DEPTH[self.depth_scale] * of_images
         if self.model == "S":
             return bias.flatten(1)
         of_plane = self._coverage @ self.conv1.weight[:, NUM_FRAMES].flatten(1).t()
@@ -343,7 +354,10 @@ class D3QN(nn.Module):
     def _shares(self, scalars: Tensor) -> Tensor:
         """How much of each of the ``_offsets`` there is, ``(B, n)``."""
         ones = scalars.new_ones(len(scalars), 1)
-        return ones if self.model == "S" else torch.cat([ones, scalars[:, :1]], dim=1)
+        if self.model == "S":
+            return ones
+        mean = _MEAN_HEADING if self.centred and "heading" in self.inputs else 0.0
+        return torch.cat([ones, scalars[:, :1] - mean], dim=1)
 
     def _appended(self, scalars: Tensor) -> Tensor:
         """What the streams see beside the images' features, ``(B, n)``."""
@@ -388,6 +402,7 @@ def make_q_actor(
     depth_scale: DepthScale = "linear",
     *,
     heading_init: HeadingInit = "spread",
+    centred: bool = False,
 ) -> QValueActor:
     """The greedy policy of a new network.
 
@@ -401,6 +416,7 @@ def make_q_actor(
         inputs: what it sees.
         depth_scale: how; see ``D3QN``.
         heading_init: see ``D3QN``.
+        centred: see ``D3QN``.
 
     Returns:
         a TorchRL actor with a categorical action space, for tensordicts of any batch size.
@@ -408,7 +424,7 @@ def make_q_actor(
     Raises:
         ValueError: as ``D3QN``.
     """
-    network = D3QN(model, height, width, inputs, depth_scale, heading_init=heading_init)
+    network = D3QN(model, height, width, inputs, depth_scale, heading_init=heading_init, centred=centred)
     return QValueActor(network, in_keys=keys_of(inputs), spec=Categorical(NUM_ACTIONS))
 
 

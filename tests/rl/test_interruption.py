@@ -37,7 +37,7 @@ from rl.learner import Learner
 from rl.run import FORMAT, Run, RunError, Table, settings_of, write_json
 from rl.train import train
 
-LATER_SETTINGS = ("depth_scale", "heading_init")
+LATER_SETTINGS = ("depth_scale", "heading_init", "centred")
 """Settings that came when there were runs of the present format already."""
 TIMES = ("seconds", "processor_seconds", "steps_per_second")
 

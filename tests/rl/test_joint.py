@@ -47,13 +47,15 @@ def relative_error(values, reference):
 @pytest.mark.parametrize("model", ["I", "S"])
 @pytest.mark.parametrize("double", [True, False])
 @pytest.mark.parametrize(("height", "width"), SIZES)
-@pytest.mark.parametrize(("command", "depth_scale"), [(False, "linear"), (True, "inverse")])
+@pytest.mark.parametrize(
+    ("command", "depth_scale", "centred"), [(False, "linear", False), (True, "inverse", False), (True, "linear", True)]
+)
 def test_an_update_sees_the_hidden_layers_that_each_network_would_have(
-    change_way, model, double, height, width, command, depth_scale
+    change_way, model, double, height, width, command, depth_scale, centred
 ):
     torch.manual_seed(0)
     inputs = ("depth", "heading", "command") if command else ("depth", "heading")
-    online, target = (D3QN(model, height, width, inputs, depth_scale) for _ in range(2))
+    online, target = (D3QN(model, height, width, inputs, depth_scale, centred=centred) for _ in range(2))
     now, after = (observation(height, width, command) for _ in range(2))
     expected = online.hidden(*now), target.hidden(*after), online.hidden(*after)
     weights = torch.randn_like(expected[0])

@@ -70,7 +70,8 @@ def test_the_network_is_the_one_that_the_settings_describe(loss_function, depth_
     )
     network = Learner(config).actor.module[0].module
     assert (network.model, network.inputs, network.depth_scale) == ("S", {"heading", "command"}, depth_scale)
-    assert network.heading_init == "spread"
+    assert (network.heading_init, network.centred) == ("spread", False)
+    assert make_actor(replace(config, centred=True)).module[0].module.centred
     assert make_actor(replace(config, heading_init="glorot")).module[0].module.heading_init == "glorot"
     assert network.image_shape == (4, 12, 20)
     assert getattr(network, "support", torch.empty(0)).numel() == (config.atoms if loss_function != "l2" else 0)

@@ -41,10 +41,13 @@ def plain_action_values(
     images = depth.float() / 255
     if network.depth_scale == "inverse":
         images = 0.08 / images.clamp(min=0.08)
+    if network.centred:
+        images = images - {"linear": 0.5, "inverse": 0.25}[network.depth_scale]
     images = images * ("depth" in network.inputs)
     angle = (heading + math.pi) / (2 * math.pi) * ("heading" in network.inputs)
     if network.model == "I":
-        plane = angle[:, :, None, None].expand(-1, -1, *images.shape[-2:])
+        plane = (angle - 0.5 * network.centred * ("heading" in network.inputs))[:, :, None, None]
+        plane = plane.expand(-1, -1, *images.shape[-2:])
         images = torch.cat([images, plane], dim=1)
     for layer, kernel, stride in ((network.conv1, (10, 14), 8), (network.conv2, (4, 4), 2), (network.conv3, (3, 3), 1)):
         images = F.relu(F.conv2d(pad_as_tensorflow(images, kernel, stride), layer.weight, layer.bias, stride))
@@ -104,10 +107,11 @@ def test_fully_connected_layers_have_as_many_parameters_as_in_the_thesis(model, 
 
 @pytest.mark.parametrize("model", ["I", "S"])
 @pytest.mark.parametrize("depth_scale", ["linear", "inverse"])
+@pytest.mark.parametrize("centred", [False, True])
 @pytest.mark.parametrize(("height", "width"), SIZES)
-def test_action_values_and_gradients_are_those_of_the_plain_definition(model, height, width, depth_scale):
+def test_action_values_and_gradients_are_those_of_the_plain_definition(model, height, width, depth_scale, centred):
     torch.manual_seed(0)
-    network = D3QN(model, height, width, depth_scale=depth_scale)
+    network = D3QN(model, height, width, depth_scale=depth_scale, centred=centred)
     for parameter in network.parameters():  # biases too
         parameter.data.add_(0.05 * torch.randn_like(parameter))
     depth, heading = observations(5, height=height, width=width)
@@ -135,10 +139,10 @@ def test_action_values_and_gradients_are_those_of_the_plain_definition(model, he
         ("surroundings", "command", "depth", "heading"),
     ],
 )
-@pytest.mark.parametrize("depth_scale", ["linear", "inverse"])
-def test_variants_see_what_they_are_said_to(model, inputs, depth_scale):
+@pytest.mark.parametrize(("depth_scale", "centred"), [("linear", False), ("inverse", False), ("inverse", True)])
+def test_variants_see_what_they_are_said_to(model, inputs, depth_scale, centred):
     torch.manual_seed(0)
-    network = D3QN(model, 33, 90, inputs, depth_scale)
+    network = D3QN(model, 33, 90, inputs, depth_scale, centred=centred)
     for parameter in network.parameters():
         parameter.data.add_(0.05 * torch.randn_like(parameter))
     depth, heading = observations(5, height=33, width=90)
@@ -153,7 +157,7 @@ def test_variants_see_what_they_are_said_to(model, inputs, depth_scale):
     for index, name in enumerate(names):
         changed = network(*(value.flip(0) if i == index else value for i, value in enumerate(seen)))
         assert torch.equal(changed, values) == (name not in inputs)
-    actor = make_q_actor(model, 33, 90, inputs, depth_scale)
+    actor = make_q_actor(model, 33, 90, inputs, depth_scale, centred=centred)
     out = actor(TensorDict(given, [5]))
     torch.testing.assert_close(out["action_value"], actor.module[0].module(*seen))
 

@@ -70,7 +70,7 @@ def test_a_run_keeps_the_worlds_that_it_was_begun_with(tmp_path):
 @pytest.mark.parametrize("format_", [0, 1])
 def test_a_run_of_an_earlier_version_can_be_used_but_not_gone_on_with(run, capsys, format_):
     kept = run.with_its_worlds(run.config)
-    later = ("inputs", "depth_scale", "heading_init", "frame_interval", "sensor", "randomization")
+    later = ("inputs", "depth_scale", "heading_init", "centred", "frame_interval", "sensor", "randomization")
     settings = {name: value for name, value in run.config.to_dict().items() if name not in later}
     write_json(run.directory / "config.json", ({"format": format_} if format_ else {}) | settings)
     assert run.format == format_
