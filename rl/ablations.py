@@ -49,8 +49,10 @@ they name, in what is named. Success and SPL are those of the
 last weights, greedy: in `complex_eval` (100 paths), and in 200 generated rooms of the same density that no run has
 trained in ({UNSEEN_PATHS:,} paths); the mean over the seeds, and each seed. Success at {EQUAL_MINUTES} minutes is that
 of the last evaluation in `complex_eval` within {EQUAL_MINUTES} minutes of processor time: the last of all, if the run
-had ended; else its learning rate had not come down yet. Minutes compare within one machine and number format only,
-which stand with the commands. `scripts/ablations.py` trains, evaluates and writes this page, and the JSON behind it in
+had ended; else its learning rate had not come down yet. Evaluations on the way differ from those of the last weights by
+chance: they draw other yaws; of symmetric policies some are of the network alone (measurements.md). Minutes compare
+within one machine and number format only, which stand with the commands; where a row has several, the least and the
+most are given. `scripts/ablations.py` trains, evaluates and writes this page, and the JSON behind it in
 [{{results}}]({{results}}).
 """
 
@@ -74,9 +76,10 @@ _PLAIN_WORLD = "no margin, in 400 generated rooms"
 _PLAIN: dict[str, Any] = {**_ALONE, **_PLAIN_LENGTH, **_PLAIN_RETURNS, **_PLAIN_ROOMS}
 """What preset ``memoryless`` was before it learnt with a margin, longer returns, other rooms and more of them, and
 before its policies were symmetric."""
-_PLAINLY = f"the network alone, five-step returns, 200,000 steps, an update every 8, {_PLAIN_WORLD}"
+_PLAIN_LEARNING = "the network alone, five-step returns, random actions down to 0.3"
+_PLAINLY = f"{_PLAIN_LEARNING}, 200,000 steps, an update every 8, {_PLAIN_WORLD}"
 _MIXED = _rooms(densities=[DENSITY, 0.17])
-_LONGER_MIXED = "the network alone, five-step returns, no margin, in generated rooms alone"
+_LONGER_MIXED = f"{_PLAIN_LEARNING}, no margin, in generated rooms alone"
 
 
 class Row(NamedTuple):
@@ -343,15 +346,29 @@ def _page(finished: Sequence[dict[str, Any]], picture: Path) -> str:
             ]
         early = [rate for one in runs if (rate := _success_at(one, 60.0 * EQUAL_MINUTES)) is not None]
         cells.append(f"{100 * statistics.fmean(early):.0f}" if early else "–")
-        cells.append(f"{statistics.fmean(one['curve']['processor_seconds'][-1] for one in runs) / 60:.0f}")
+        cells.append(_minutes(runs))
         lines.append(f"| {' | '.join(cells)} |")
     lines += ["", *_symmetric_table(rows)]
     lines += [f"![success by samples and by minutes of processor time]({picture})", "", "## Commands", ""]
     for name, runs in rows.items():
         told = sorted({f"{one['machine']}, torch {one['versions']['torch']}, {_number_format(one)}" for one in runs})
-        lines.append(f"- {name}: `{runs[0]['command']}` ({'; '.join(told)})")
+        lines.append(f"- {name}: `{_command(runs)}` ({'; '.join(told)})")
     lines += ["", "One thread each, beside other programs."]
     return "\n".join(lines) + "\n"
+
+
+def _minutes(runs: Sequence[dict[str, Any]]) -> str:
+    """Of processor time; a mean only of what compares."""
+    minutes = [one["curve"]["processor_seconds"][-1] / 60 for one in runs]
+    if len({(one["machine"], _number_format(one)) for one in runs}) == 1:
+        return f"{statistics.fmean(minutes):.0f}"
+    return f"{min(minutes):.0f}–{max(minutes):.0f}"
+
+
+def _command(runs: Sequence[dict[str, Any]]) -> str:
+    """Of the first run, without a number format that the others do not share."""
+    formats, command = {_number_format(one) for one in runs}, runs[0]["command"]
+    return command if len(formats) == 1 else command.replace(f" --autocast {_number_format(runs[0])}", "")
 
 
 def _symmetric_table(rows: dict[str, list[dict[str, Any]]]) -> list[str]:

@@ -118,3 +118,25 @@ def test_a_row_that_there_is_not_is_named_before_anything_is_trained(small):
     with pytest.raises(ValueError, match="there is no row bse; there are: base, S"):
         run(["base", "bse"], [0], **small, console=QUIET)
     assert not small["runs"].exists()
+
+
+def test_what_different_machines_took_is_no_mean_and_formats_that_differ_are_in_no_command(small):
+    run(["base"], [0, 1], **small, console=QUIET)
+    one, other = (small["results"] / f"base-seed{seed}.json" for seed in (0, 1))
+    formats = {one: "--autocast float32 --no-report", other: "--autocast bfloat16 --no-report"}
+    for file, minutes, machine in ((one, 10, "a slow one"), (other, 30, "a slow one"), (other, 30, "a fast one")):
+        results = json.loads(file.read_text(encoding="utf-8")) | {"machine": machine}
+        results["command"] = f"navsim train {formats[file] if machine == 'a fast one' else formats[one]}"
+        results["curve"]["processor_seconds"][-1] = 60.0 * minutes
+        file.write_text(json.dumps(results), encoding="utf-8")
+        run(["base"], [0], **small, console=QUIET)
+        page = small["page"].read_text(encoding="utf-8").splitlines()
+        (row,) = [line for line in page if line.startswith("| base | base")]
+        (command,) = [line for line in page if line.startswith("- base:")]
+        if machine == "a fast one":
+            assert row.endswith("| 10–30 |")
+            assert command.startswith("- base: `navsim train --no-report` (a fast one, ")
+            assert command.endswith("float32)")
+        elif file == other:
+            assert row.endswith("| 20 |")
+            assert command.startswith("- base: `navsim train --autocast float32 --no-report` (a slow one, ")
