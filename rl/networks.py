@@ -284,6 +284,14 @@ class D3QN(nn.Module):
         depth, scalars = self._flat(depth, heading, *others)
         return self._streams(self._features(self._response(depth, self._byte_kernel()), scalars))
 
+    def first_maps(self, depth: Tensor, heading: Tensor, *others: Tensor) -> Tensor:
+        """What conv1 gives, rectified, ``(B, H', W', 32)``; arguments as for ``forward``.
+
+        A kernel that is zero everywhere, whatever the network sees, learns nothing any more.
+        """
+        images, scalars = self._flat(depth, heading, *others)
+        return self._maps(self._response(images, self._byte_kernel()), scalars)
+
     def head(self, hidden: Tensor) -> Tensor:
         """Action values, ``(B, 7)``, of hidden layers ``(1024, B)``."""
         with torch.autocast(hidden.device.type, enabled=False):  # Q-values need more than bfloat16's three digits
@@ -331,12 +339,16 @@ class D3QN(nn.Module):
 
     def _features(self, response: Tensor, scalars: Tensor) -> Tensor:
         """What the streams see, ``(B, n)``, of conv1's ``response`` to the images, ``(B·H'·W', 32)`` without bias."""
-        batch, dtype = len(scalars), response.dtype
-        maps = torch.addmm(response.reshape(batch, -1), self._shares(scalars).to(dtype), self._offsets().to(dtype))
-        maps = F.relu_(maps).view(batch, *self.conv1.output_size, -1).permute(0, 3, 1, 2)
+        maps = self._maps(response, scalars).permute(0, 3, 1, 2)
         features = F.relu_(self.conv3(F.relu_(self.conv2(maps)))).permute(0, 2, 3, 1).flatten(1)
         appended = self._appended(scalars)
-        return torch.cat([features, appended.to(dtype)], dim=1) if appended.shape[1] else features
+        return torch.cat([features, appended.to(features.dtype)], dim=1) if appended.shape[1] else features
+
+    def _maps(self, response: Tensor, scalars: Tensor) -> Tensor:
+        """What conv1 gives, ``(B, H', W', 32)``, of its ``response`` to the images without bias."""
+        batch, dtype = len(scalars), response.dtype
+        maps = torch.addmm(response.reshape(batch, -1), self._shares(scalars).to(dtype), self._offsets().to(dtype))
+        return F.relu_(maps).view(batch, *self.conv1.output_size, -1)
 
     def _offsets(self) -> Tensor:
         """What conv1's response lacks, ``(n, H'·W'·32)``, to be added in these ``_shares``: its bias, less what centred

@@ -35,7 +35,7 @@ def pad_as_tensorflow(images: torch.Tensor, kernel: tuple[int, int], stride: int
 
 
 def plain_action_values(
-    network: D3QN, depth: torch.Tensor, heading: torch.Tensor, *others: torch.Tensor
+    network: D3QN, depth: torch.Tensor, heading: torch.Tensor, *others: torch.Tensor, first: list | None = None
 ) -> torch.Tensor:
     """Q as design and thesis define it: images from 0 to 1, a real heading plane, two separate streams."""
     images = depth.float() / 255
@@ -51,6 +51,8 @@ def plain_action_values(
         images = torch.cat([images, plane], dim=1)
     for layer, kernel, stride in ((network.conv1, (10, 14), 8), (network.conv2, (4, 4), 2), (network.conv3, (3, 3), 1)):
         images = F.relu(F.conv2d(pad_as_tensorflow(images, kernel, stride), layer.weight, layer.bias, stride))
+        if first is not None and layer is network.conv1:
+            first.append(images)
     features = torch.stack([image.permute(1, 2, 0).flatten() for image in images])
     if network.model == "S":
         features = torch.cat([features, angle], dim=1)
@@ -153,7 +155,9 @@ def test_variants_see_what_they_are_said_to(model, inputs, depth_scale, centred)
 
     values = network(*seen)
 
-    torch.testing.assert_close(values, plain_action_values(network, *seen), rtol=1e-4, atol=1e-4)
+    first = []
+    torch.testing.assert_close(values, plain_action_values(network, *seen, first=first), rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(network.first_maps(*seen).permute(0, 3, 1, 2), first[0], rtol=1e-4, atol=1e-5)
     for index, name in enumerate(names):
         changed = network(*(value.flip(0) if i == index else value for i, value in enumerate(seen)))
         assert torch.equal(changed, values) == (name not in inputs)
