@@ -31,19 +31,19 @@ def atomic_write(path: str | os.PathLike[str], mode: str = "w", *, parents: bool
     Raises:
         OSError: if it cannot be written, or is read-only; what was there is as it was.
     """
+    encoding, newline = (None, None) if "b" in mode else ("utf-8", "")
+    place = Path(path)
+    if place.exists() and not place.is_file() and not place.is_dir():  # where /dev/stdout leads to may have no path
+        with place.open(mode, encoding=encoding, newline=newline) as file:
+            yield file
+        return
+    if place.is_file() and not os.access(place, os.W_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
     target = Path(path).resolve()
     if parents:
         target.parent.mkdir(parents=True, exist_ok=True)
     elif not target.parent.is_dir():
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(Path(path).parent))
-    encoding, newline = (None, None) if "b" in mode else ("utf-8", "")
-    if target.exists() and not target.is_dir():
-        if not target.is_file():
-            with target.open(mode, encoding=encoding, newline=newline) as file:
-                yield file
-            return
-        if not os.access(target, os.W_OK):
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
     try:
         handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
     except OSError as error:

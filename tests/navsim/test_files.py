@@ -101,6 +101,11 @@ def test_what_is_no_file_is_written_to_and_stays(tmp_path):
     assert read == ["through"]
     assert stat.S_ISFIFO(pipe.stat().st_mode)
     assert list(tmp_path.iterdir()) == [pipe]
+    reading, writing = os.pipe()
+    write_text(f"/dev/fd/{writing}", "through")
+    assert os.read(reading, 20) == b"through"
+    os.close(reading)
+    os.close(writing)
     write_text("/dev/null", "away")
     assert stat.S_ISCHR(os.stat("/dev/null").st_mode)
 
