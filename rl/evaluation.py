@@ -830,7 +830,7 @@ def comparison_table(evaluations: Sequence[Evaluation], *, title: str | None = N
     # Without vertical lines it fits a terminal of 80 columns.
     table = Table(
         title=title or ", ".join(worlds) + same_count,
-        caption="in brackets: Wilson's 95% intervals; bump/near: collisions by the bumper / by the depth rule, %",
+        caption="percent; in brackets: Wilson's 95% intervals; bump/near: collisions by the bumper / by the depth rule",
         box=SIMPLE_HEAD,
         show_edge=False,
         pad_edge=False,
@@ -841,7 +841,7 @@ def comparison_table(evaluations: Sequence[Evaluation], *, title: str | None = N
         table.add_column("world")
     if not same_count:
         table.add_column("paths", justify="right", no_wrap=True)
-    for heading in ("success %", "collision %", "bump/near", "timeout %", "SPL", "steps", "reward"):
+    for heading in ("success", "collision", "bump/near", "timeout", "SPL", "steps", "reward"):
         table.add_column(heading, justify="right", no_wrap=True)
     for evaluation in evaluations:
         rates = []

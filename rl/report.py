@@ -42,7 +42,7 @@ from rl.policies import load_policy
 from rl.run import Run, RunError
 from rl.surroundings import remembered_at_end
 
-LAST_WEIGHTS = " last weights"
+LAST_WEIGHTS = " last"
 """Ends the name of the evaluation of a run's last weights, where these are not its best."""
 
 
@@ -126,7 +126,7 @@ def _how_chosen(policy: Evaluation, evaluations: Sequence[Evaluation], count: in
         return ""
     chosen = f"{policy.policy} has the weights of the best of {count} evaluations, which drove the same paths"
     beside = any(evaluation.policy.endswith(LAST_WEIGHTS) for evaluation in evaluations)
-    return f"{chosen}; nothing chose the last weights." if beside else f"{chosen}."
+    return f"{chosen}; nothing chose the last ones." if beside else f"{chosen}."
 
 
 def _never_seen(several: bool) -> str:

@@ -51,8 +51,8 @@ def test_last_weights_stand_beside_the_best_where_they_are_others(tmp_path, monk
     monkeypatch.setattr(rl.finish, "evaluate_as_trained", drive)
     monkeypatch.setattr(rl.finish, "write_report", lambda run: tmp_path)
     rl.finish.finish(run, Console(quiet=True))
-    assert list(driven) == ["D3QN-I", *(["D3QN-I last weights"] if differ else []), *BASELINES]
+    assert list(driven) == ["D3QN-I", *(["D3QN-I last"] if differ else []), *BASELINES]
     assert {path.stem for path in (run.directory / "evaluation").glob("*.json")} == set(driven)
-    for name, weights in (("D3QN-I", "policy"), ("D3QN-I last weights", "policy_last"))[: 1 + differ]:
+    for name, weights in (("D3QN-I", "policy"), ("D3QN-I last", "policy_last"))[: 1 + differ]:
         saved = torch.load(run.directory / f"{weights}.pt", weights_only=True)
         assert all(torch.equal(saved[key], value) for key, value in driven[name].state_dict().items())

@@ -169,12 +169,12 @@ def test_a_run_that_was_not_finished_says_so(run, tmp_path):
 
 def test_what_chose_the_weights_is_told_beside_the_last_ones(run, tmp_path):
     copied = Run(shutil.copytree(run.directory, tmp_path / "chosen"))
-    evaluate(make_baseline("straight"), WORLD, name="D3QN-I last weights").save(
-        copied.directory / "evaluation" / "D3QN-I last weights.json"
+    evaluate(make_baseline("straight"), WORLD, name="D3QN-I last").save(
+        copied.directory / "evaluation" / "D3QN-I last.json"
     )
     copied.evaluations.append(copied.evaluations.rows()[-1])
     page = Page(write_report(copied).read_text(encoding="utf-8"))
-    assert [row[0].strip() for row in page.cells if row] == ["D3QN-I", "D3QN-I last weights", "random", "reactive"]
+    assert [row[0].strip() for row in page.cells if row] == ["D3QN-I", "D3QN-I last", "random", "reactive"]
     text = " ".join(" ".join(page.text).split())
     count = len(copied.evaluations.rows())
     assert f"D3QN-I has the weights of the best of {count} evaluations, which drove the same paths; nothing" in text
