@@ -21,7 +21,7 @@ from navsim.world import World
 TOGETHER = 0.06
 """Obstacles that are nearer to each other than this, metres, are one piece of furniture."""
 _TRIES = 150  # places tried for a piece before it is left out: the room is full
-_SWEEP_MARGIN = 1e-3  # least of metres to the walls for what moves or can be pushed
+_SWEEP_MARGIN = 1e-3  # metres to the walls, at least, for what moves or can be pushed: its outline is made of points
 _SPACING = 0.05  # of the points that stand for a piece's outline, metres; errors of gaps are a hundredth of it
 
 

@@ -251,7 +251,7 @@ def _figures(
 
 
 def _stricter(config: TrainConfig) -> str:
-    return f", a robot and rules that are {config.margin:g} m stricter" if config.margin > 0.0 else ""
+    return f", by rules {config.margin:g} m stricter" if config.margin > 0.0 else ""
 
 
 def _block(heading: str, *figures: tuple[Figure, str], narrow: bool = False) -> dict[str, Any]:
