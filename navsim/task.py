@@ -267,6 +267,8 @@ class Episodes:
         near = distance < needed[point]
         if (near & (point == 0)).any():
             return False
+        if not near.any():
+            return True
         shapes = outlines(self._world, poses)
         return not any(meet(shapes[s], shapes[p - 1]) for s, p in zip(slot[near], point[near], strict=True))
 

@@ -34,8 +34,8 @@ def matrix(
     collectors: Sequence[Collector] = get_args(Collector), formats: Sequence[Format] | None = None
 ) -> list[Setting]:
     """The collectors with each format; by default bfloat16 only where the processor multiplies faster in it."""
-    faster: Sequence[Format] = ("float32", "bfloat16") if fastest_autocast() is not None else ("float32",)
-    return [Setting(collector, number_format) for number_format in formats or faster for collector in collectors]
+    chosen: Sequence[Format] = formats or (("float32", "bfloat16") if fastest_autocast() is not None else ("float32",))
+    return [Setting(collector, number_format) for number_format in chosen for collector in collectors]
 
 
 def run(

@@ -7,7 +7,6 @@ which nothing was chosen by, stand beside them.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import torch
 from rich.console import Console
@@ -38,8 +37,9 @@ def finish(run: Run, console: Console) -> Path:
     config = run.config
     worlds = worlds_from(run.with_its_worlds(config).eval_world)
     own, last = f"D3QN-{config.model}", load_policy(run.directory, weights="last")
-    policies: dict[str, QValueActor | Baseline] = {own: load_policy(run.directory)}
-    if not _are_the_same(policies[own], last):
+    best = load_policy(run.directory)
+    policies: dict[str, QValueActor | Baseline] = {own: best}
+    if not _are_the_same(best, last):
         policies[f"{own}{LAST_WEIGHTS}"] = last
     policies |= {name: make_baseline(name, config.camera) for name in BASELINES}
     evaluations = []
@@ -56,6 +56,6 @@ def finish(run: Run, console: Console) -> Path:
     return report
 
 
-def _are_the_same(policy: Any, other: Any) -> bool:
+def _are_the_same(policy: QValueActor, other: QValueActor) -> bool:
     weights, others = policy.state_dict(), other.state_dict()
     return all(torch.equal(weights[name], others[name]) for name in weights)
