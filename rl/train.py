@@ -38,6 +38,7 @@ from rl.observation import keys_of
 from rl.progress import Clock, TrainingProgress, progress_bar
 from rl.replay import make_replay
 from rl.run import Run, settings_of, writing
+from rl.subnormals import subnormals_are_zero
 from rl.watch import Watch
 
 _PROBE_STATES = 256
@@ -75,7 +76,7 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
     else:
         run.check_vacant()
     check_feasible(run.with_its_worlds(config) if resume else config)
-    with run.claimed():
+    with run.claimed(), subnormals_are_zero():
         if resume and run.has_ended and not Checkpoints(run.directory / "checkpoints", {}).paths():
             return run  # of its checkpoints nothing is left, and nothing is wanted
         return _train(config, run, resume, console)

@@ -82,6 +82,7 @@ def test_updates_a_second_are_told_for_each_setting(console):
     ]
     assert all(row.ours > 0 and row.peer > 0 and row.bound > 0 for row in measured)
     assert all(f"{row.ours:,.1f}" in printed(console) for row in measured)
+    assert "a tenth of its moments subnormal" in printed(console)
 
 
 def test_the_parts_of_a_step_add_up(console):
