@@ -164,10 +164,10 @@ def steps_of_faded_moments(config: TrainConfig, seconds: float) -> tuple[float, 
     optimiser.step()
     taken: tuple[list[float], list[float]] = ([], [])
     for _ in range(_ROUNDS):
-        for times, mode in zip(taken, (nullcontext, subnormals_are_zero), strict=True):
+        for times, as_zero in zip(taken, (False, True), strict=True):
             for weights, without in zip(learner.parameters, faded, strict=True):
                 optimiser.state[weights]["exp_avg"][without] = 1e-40
-            with mode():
+            with subnormals_are_zero() if as_zero else nullcontext():
                 optimiser.step()  # the first one makes zeros of them
                 times.append(1.0 / _rate(optimiser.step, seconds))
     torch.set_num_threads(threads)
