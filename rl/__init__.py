@@ -10,8 +10,9 @@ if TYPE_CHECKING:
     from rl.loss import D3QNLoss
     from rl.networks import make_q_actor
     from rl.policies import load_policy
+    from rl.replay import make_replay
 
-__all__ = ["D3QNLoss", "Evaluation", "NavEnv", "evaluate", "load_policy", "make_env", "make_q_actor"]
+__all__ = ["D3QNLoss", "Evaluation", "NavEnv", "evaluate", "load_policy", "make_env", "make_q_actor", "make_replay"]
 
 _MODULES = {
     "D3QNLoss": "rl.loss",
@@ -21,6 +22,7 @@ _MODULES = {
     "load_policy": "rl.policies",
     "make_env": "rl.collect",
     "make_q_actor": "rl.networks",
+    "make_replay": "rl.replay",
 }
 
 

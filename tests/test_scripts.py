@@ -11,6 +11,10 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.data import ReplayBuffer, TensorStorage
+from torchrl.modules import QValueActor
+from torchrl.objectives import DQNLoss
+
+from rl import D3QNLoss, NavEnv, make_q_actor, make_replay
 
 REPOSITORY = Path(__file__).parents[1]
 
@@ -47,6 +51,38 @@ def test_collected_transitions_lie_on_disk_ready_for_a_replay(tmp_path, processe
     torch.testing.assert_close(after[goes_on], poses[goes_on, 1])
     sample = ReplayBuffer(storage=TensorStorage(transitions), batch_size=8).sample()
     assert sample["next", "reward"].shape == (8, 1)
+
+
+def test_a_loop_of_ones_own_learns_and_leaves_its_weights(tmp_path):
+    rooms = ["--world", "simple_train", "--eval-world", "simple_eval"]
+    done = run_script("own_loop.py", "--out", "own.pt", "--steps", "256", *rooms, directory=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "of goals reached in simple_eval" in done.stdout
+    assert "Warning" not in done.stderr
+    torch.manual_seed(0)
+    actor = make_q_actor("I")  # as the loop's network began
+    weights = torch.load(tmp_path / "own.pt", weights_only=True)
+    assert all((value != weights[name]).any() for name, value in actor.state_dict().items())
+    actor.load_state_dict(weights)
+
+
+def test_a_network_and_a_loss_of_ones_own_fit_into_the_loop():
+    class Network(torch.nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.layer = torch.nn.Linear(4 * 64 * 80 + 1, 7)
+
+        def forward(self, depth: torch.Tensor, heading: torch.Tensor) -> torch.Tensor:
+            return self.layer(torch.cat([depth.flatten(-3) / 255.0, heading], dim=-1))
+
+    env = NavEnv("simple_train", num_envs=4, seed=0)
+    actor = QValueActor(Network(), in_keys=["depth", "heading"], spec=env.action_spec_unbatched)
+    replay = make_replay(capacity=200, batch_size=8, n_step=3)
+    replay.extend(env.rollout(20, actor, break_when_any_done=False))
+    sample = replay.sample()
+    ours = D3QNLoss(actor)
+    theirs = DQNLoss(actor, double_dqn=True, delay_value=True, action_space="categorical")
+    torch.testing.assert_close(ours(sample)["loss"], theirs(sample)["loss"])
 
 
 @pytest.mark.parametrize("name", ["train.py", "evaluate.py"])

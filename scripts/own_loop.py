@@ -1,0 +1,72 @@
+"""Deep Q-learning in a page: ``NavEnv`` and this project's replay between TorchRL's own parts, to be changed at will.
+
+    python scripts/own_loop.py --steps 40000
+
+A loss of your own goes in the place of ``D3QNLoss``; TorchRL's ``DQNLoss(actor, double_dqn=True, delay_value=True,
+action_space="categorical")`` takes the same samples. A network of your own, any module of depth images ``(..., 4, 64,
+80)`` uint8 and headings ``(..., 1)``, radians, that returns the seven actions' values ``(..., 7)``, goes into
+``QValueActor(network, in_keys=["depth", "heading"], spec=env.action_spec_unbatched)``.
+"""
+
+from pathlib import Path
+
+import torch
+import tyro
+from rich.progress import track
+from tensordict.nn import TensorDictSequential
+from torchrl.collectors import Collector
+from torchrl.modules import EGreedyModule
+from torchrl.objectives import SoftUpdate
+
+from rl import D3QNLoss, NavEnv, evaluate, make_q_actor, make_replay
+
+
+def learn(
+    out: Path,
+    world: str = "generate:clutter,count=100",
+    eval_world: str = "complex_eval",
+    steps: int = 40_000,
+    num_envs: int = 16,
+    seed: int = 0,
+) -> None:
+    """Train a robot with a loop of one page, let it drive greedily where it has never been, and keep its weights.
+
+    Args:
+        out: File to write the network's weights to.
+        world: World file, name of a shipped world, or generated rooms, to train in.
+        eval_world: World to drive in afterwards.
+        steps: Transitions to learn from.
+        num_envs: Robots that drive at once.
+        seed: Of rooms, starts, goals, exploration and network.
+    """
+    torch.set_flush_denormal(True)  # else Adam gets slower as units fall silent: docs/performance.md
+    torch.manual_seed(seed)
+    env = NavEnv(world, num_envs, seed=seed)
+    actor = make_q_actor("I")
+    loss = D3QNLoss(actor, gamma=0.97, loss_function="smooth_l1")
+    target = SoftUpdate(loss, tau=0.005)
+    optimiser = torch.optim.Adam(loss.parameters(), lr=5e-4, fused=True)
+    replay = make_replay(capacity=50_000, batch_size=64, n_step=3, gamma=0.97)
+
+    size = 16 * num_envs
+    batches = -(-steps // size)
+    exploration = EGreedyModule(env.action_spec, eps_init=1.0, eps_end=0.05, annealing_num_steps=batches // 2)
+    policy = TensorDictSequential(actor, exploration)
+    collector = Collector(
+        env, policy, frames_per_batch=size, total_frames=batches * size, auto_register_policy_transforms=False
+    )
+    for batch in track(collector, "learning", total=batches):
+        replay.extend(batch)
+        exploration.step()
+        for _ in range(size // 8):  # each transition is learnt from eight times
+            loss(replay.sample())["loss"].backward()
+            optimiser.step()
+            optimiser.zero_grad()
+            target.step()
+
+    torch.save(actor.state_dict(), out)
+    print(f"{evaluate(actor, eval_world).success_rate:.0%} of goals reached in {eval_world}; weights in {out}")
+
+
+if __name__ == "__main__":
+    tyro.cli(learn)
