@@ -836,9 +836,9 @@ def comparison_table(evaluations: Sequence[Evaluation], *, title: str | None = N
         pad_edge=False,
         padding=(0, 0, 0, 1),
     )
-    table.add_column("policy", style="bold", no_wrap=True)
+    table.add_column("policy", style="bold", overflow="fold")  # rather two lines of name than numbers cut short
     if len(worlds) > 1:
-        table.add_column("world")
+        table.add_column("world", overflow="fold")
     if not same_count:
         table.add_column("paths", justify="right", no_wrap=True)
     for heading in ("success", "collision", "bump/near", "timeout", "SPL", "steps", "reward"):

@@ -454,6 +454,17 @@ def test_the_table_shows_rates_with_their_intervals():
     assert "0.38" in text
 
 
+def test_long_names_leave_the_numbers_of_the_table_whole():
+    paths = tuple(result("collision", 4.0, 3.0) for _ in range(100))
+    policy, worlds = "thesis-I-complex_train+simple_train-seed0", ["complex_eval", "generate:clutter,count=200"]
+    screen = Console(file=io.StringIO(), width=80)
+    screen.print(comparison_table([Evaluation(policy, world, 0, paths) for world in worlds]))
+    text = screen.file.getvalue()
+    assert "…" not in text
+    assert text.count("100 (96–100)") == 2
+    assert text.count("+0.50") == 2
+
+
 def test_progress_is_shown_on_a_console():
     screen = Console(file=io.StringIO(), width=100, force_terminal=True)
     drive(ahead, console=screen)
