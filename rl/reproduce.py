@@ -222,9 +222,10 @@ def _how(mine: Sequence[dict[str, Any]]) -> str:
     """What runs of one table have been, beside their settings: their lengths, number formats and times."""
     steps = " or ".join(sorted({f"{cell['steps']:,}" for cell in mine}))
     formats = " or ".join(sorted({cell["settings"]["autocast"] for cell in mine}))
-    hours = [cell["evaluations"]["processor_seconds"][-1] / 3600 for cell in mine]
+    hours = [f"{cell['evaluations']['processor_seconds'][-1] / 3600:.1f}" for cell in mine]
+    span = " to ".join(dict.fromkeys([min(hours, key=float), max(hours, key=float)]))
     machines = "; ".join(sorted({cell["machine"] for cell in mine}))
-    return f"{steps} steps in {formats}, {min(hours):.1f} to {max(hours):.1f} hours of processor time; {machines}"
+    return f"{steps} steps in {formats}, {span} hours of processor time; {machines}"
 
 
 def _evaluation(cell: dict[str, Any], room: str) -> Evaluation:
@@ -303,7 +304,7 @@ def _curves(mine: Sequence[dict[str, Any]], key: str, label: str, room: str) -> 
             values.mean(axis=0),
             color=_MODEL_COLOURS[model],
             lw=2.0,
-            label=f"D3QN-{model} ({len(runs)} seeds)",
+            label=f"D3QN-{model} ({len(runs)} seed{'s' if len(runs) > 1 else ''})",
         )
     axes.legend(fontsize=8, frameon=False, labelcolor=INK)
     return figure
@@ -327,6 +328,7 @@ def _goals_reached(small: Sequence[dict[str, Any]]) -> Figure:
             axes.text(position + 0.42, reported, "thesis", fontsize=8, va="center", color=INK)
     labels = [f"D3QN-{model}\n{room}" for room in ROOMS for model in MODELS]
     axes.set_xticks(range(len(labels)), labels, fontsize=9, color=INK)
+    axes.set_xlim(-0.6, len(labels) - 0.3)
     axes.set_ylim(0, 100)
     return figure
 

@@ -87,18 +87,22 @@ def write_results(results: Path, page: Path, console: Console | None = None) -> 
         runs,
         drive_baselines(results / "baselines.json", console),
         tables.read_text(encoding="utf-8") if tables.exists() else _NOT_RUN,
+        sorted(file.stem for file in (results / "reproduce").glob("figure-*.png")),
     )
     with atomic_write(page) as file:
         file.write(text)
 
 
-def results_page(runs: Sequence[dict[str, Any]], baselines: dict[str, Any], thesis_tables: str) -> str:
+def results_page(
+    runs: Sequence[dict[str, Any]], baselines: dict[str, Any], thesis_tables: str, thesis_figures: Sequence[str] = ()
+) -> str:
     """The page as Markdown.
 
     Args:
         runs: of the ablations, as their files hold them.
         baselines: as :func:`drive_baselines` returns them.
         thesis_tables: the tables of ``rl.reproduce``.
+        thesis_figures: its figures' file names, without their ending.
     """
     by_row = {name: sorted((run for run in runs if run["row"] == name), key=_seed) for name in ROWS}
     lines = [
@@ -153,11 +157,18 @@ def results_page(runs: Sequence[dict[str, Any]], baselines: dict[str, Any], thes
         "",
         "Preset `thesis`: 400,000 steps, batches of 8, squared error, one room. Intervals are of the paths that were",
         "driven, all seeds together, and do not tell how seeds differ. The thesis's shares are of one of its two",
-        "image sizes; of which, this project does not know.",
+        "image sizes; of which, this project does not know. Made by `python scripts/reproduce.py`, which goes on with",
+        "what is missing; [measurements.md](measurements.md#the-thesiss-own-settings) tells what differs and why.",
         "",
         thesis_tables.rstrip(),
     ]
-    return "\n".join(lines) + "\n"
+    if thesis_figures:
+        lines += ["", "### Figures 6.1 to 6.11", ""]
+    for name in thesis_figures:
+        chapter, number, what = name.removeprefix("figure-").split("-", 2)
+        caption = f"Figure {chapter}.{int(number)}: {what.replace('-', ' ').replace('_', ' ')}"
+        lines += [f"![{caption}](results/reproduce/{name}.png)", "", f"{caption}.", ""]
+    return "\n".join(lines).rstrip() + "\n"
 
 
 def _seed(run: dict[str, Any]) -> int:

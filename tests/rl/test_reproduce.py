@@ -89,7 +89,7 @@ def test_a_table_pools_the_seeds_of_what_was_trained_in_a_room():
     assert to_simple[5] == ""
     assert to_complex[6:] == ["+0.80", "0.90"]
     assert text.count("Not run yet.") == 3
-    assert "8,000 steps in float32, 1.0 to 1.0 hours of processor time; a machine." in text
+    assert "8,000 steps in float32, 1.0 hours of processor time; a machine." in text
 
 
 def test_all_figures_are_drawn_from_the_cells(tmp_path):

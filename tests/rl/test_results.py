@@ -83,3 +83,12 @@ def test_baselines_are_driven_once(tmp_path, monkeypatch):
     page = (tmp_path / "results.md").read_text(encoding="utf-8")
     assert "**50.0**" in page
     assert "Not run yet: `python scripts/reproduce.py`" in page
+
+    (tmp_path / "reproduce").mkdir()
+    (tmp_path / "reproduce" / "tables.md").write_text("### Table 6.1", encoding="utf-8")
+    (tmp_path / "reproduce" / "figure-6-04-max_q-complex.png").touch()
+    write_results(tmp_path, tmp_path / "results.md")
+    page = (tmp_path / "results.md").read_text(encoding="utf-8")
+    assert "Not run yet" not in page
+    assert "### Table 6.1" in page
+    assert "![Figure 6.4: max q complex](results/reproduce/figure-6-04-max_q-complex.png)" in page
