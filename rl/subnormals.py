@@ -14,8 +14,8 @@ def subnormals_are_zero() -> Iterator[None]:
     """In this block, results and operands smaller than 1.2e-38 in float32 are zero, in this thread and those it starts.
 
     The gradient of a unit that no image stirs is zero, and Adam's moments of it, a tenth less at each step, end as
-    subnormal numbers, which rounding keeps from ever reaching zero. Intel's processors take a hundred times as long to
-    multiply those; they were a tenth of the moments after 100,000 steps of the thesis's training, and made a step of
+    subnormal numbers, which rounding keeps from ever reaching zero. Intel's processors are slow at multiplying
+    those; they were a tenth of the moments after 100,000 steps of the thesis's training, and made a step of
     Adam take 8.1 ms in place of 1.3. Weights do not notice: what such moments add to them is below their last digit.
 
     Threads keep the mode that they began with, so it has to be set before PyTorch starts its own, with the first

@@ -1,6 +1,6 @@
 """Deep Q-learning in a page: ``NavEnv`` and this project's replay between TorchRL's own parts, to be changed at will.
 
-    python scripts/own_loop.py --steps 40000
+    python scripts/own_loop.py --out own_loop.pt --steps 40000
 
 A loss of your own goes in the place of ``D3QNLoss``; TorchRL's ``DQNLoss(actor, double_dqn=True, delay_value=True,
 action_space="categorical")`` takes the same samples. A network of your own, any module of depth images ``(..., 4, 64,
@@ -39,6 +39,7 @@ def learn(
         num_envs: Robots that drive at once.
         seed: Of rooms, starts, goals, exploration and network.
     """
+    out.parent.mkdir(parents=True, exist_ok=True)
     torch.set_flush_denormal(True)  # else Adam gets slower as units fall silent: docs/performance.md
     torch.manual_seed(seed)
     env = NavEnv(world, num_envs, seed=seed)

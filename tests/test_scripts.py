@@ -55,13 +55,13 @@ def test_collected_transitions_lie_on_disk_ready_for_a_replay(tmp_path, processe
 
 def test_a_loop_of_ones_own_learns_and_leaves_its_weights(tmp_path):
     rooms = ["--world", "simple_train", "--eval-world", "simple_eval"]
-    done = run_script("own_loop.py", "--out", "own.pt", "--steps", "256", *rooms, directory=tmp_path)
+    done = run_script("own_loop.py", "--out", "new/own.pt", "--steps", "256", *rooms, directory=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "of goals reached in simple_eval" in done.stdout
     assert "Warning" not in done.stderr
     torch.manual_seed(0)
     actor = make_q_actor("I")  # as the loop's network began
-    weights = torch.load(tmp_path / "own.pt", weights_only=True)
+    weights = torch.load(tmp_path / "new" / "own.pt", weights_only=True)
     assert all((value != weights[name]).any() for name, value in actor.state_dict().items())
     actor.load_state_dict(weights)
 
