@@ -8,7 +8,7 @@ import statistics
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -27,6 +27,7 @@ from navsim.robot import NUM_ACTIONS
 from rl.config import PRESETS, TrainConfig
 from rl.learner import Learner
 from rl.memory import keep_freed_memory
+from rl.number_format import FORMATS, NumberFormat, random_sample
 from rl.observation import NUM_FRAMES
 from rl.run import processor
 from rl.subnormals import subnormals_are_zero
@@ -34,8 +35,6 @@ from rl.subnormals import subnormals_are_zero
 CONFIG = dataclasses.replace(PRESETS["memoryless"], loss_function="smooth_l1")
 """TorchRL's ``DQNLoss`` has no distribution of returns, so neither has the learner that it is compared with."""
 BATCH_SIZES = (8, 64)
-NumberFormat = Literal["float32", "bfloat16"]
-FORMATS: tuple[NumberFormat, ...] = ("float32", "bfloat16")
 _ROUNDS = 7
 _SECONDS_A_ROUND = 0.4
 _MATRIX = 1024
@@ -176,32 +175,6 @@ def steps_of_faded_moments(config: TrainConfig, seconds: float) -> tuple[float, 
 
 def _updates(learner: Learner | PeerLearner, sample: TensorDict) -> Callable[[], object]:
     return lambda: learner.update(sample.copy())
-
-
-def random_sample(batch_size: int, camera: DepthCamera) -> TensorDict:
-    """Transitions ``(B,)`` as a replay with three-step returns gives them, with random content."""
-
-    def observation() -> dict[str, Tensor]:
-        return {
-            "depth": torch.randint(0, 256, (batch_size, NUM_FRAMES, camera.height, camera.width), dtype=torch.uint8),
-            "heading": torch.pi * (2.0 * torch.rand(batch_size, 1) - 1.0),
-        }
-
-    terminated = torch.rand(batch_size, 1) < 0.05
-    return TensorDict(
-        {
-            **observation(),
-            "action": torch.randint(0, NUM_ACTIONS, (batch_size,)),
-            "steps_to_next_obs": torch.full((batch_size, 1), 3),
-            "next": {
-                **observation(),
-                "reward": torch.randn(batch_size, 1),
-                "done": terminated,
-                "terminated": terminated.clone(),
-            },
-        },
-        batch_size=[batch_size],
-    )
 
 
 class PeerLearner:

@@ -15,26 +15,26 @@ from rich.table import Table
 from rl.ablations import COMPLEX, UNSEEN, rates_in_places
 from rl.config import DEFAULT_PRESET, PRESETS
 from rl.loss import fastest_autocast
+from rl.number_format import FORMATS, NumberFormat
 from rl.policies import load_policy
 from rl.run import Run
 from rl.series import Planned, run_series
 
 Collector = Literal["sync", "async"]
-Format = Literal["float32", "bfloat16"]
 
 
 class Setting(NamedTuple):
     """One cell of the matrix."""
 
     collector: Collector
-    number_format: Format
+    number_format: NumberFormat
 
 
 def matrix(
-    collectors: Sequence[Collector] = get_args(Collector), formats: Sequence[Format] | None = None
+    collectors: Sequence[Collector] = get_args(Collector), formats: Sequence[NumberFormat] | None = None
 ) -> list[Setting]:
     """The collectors with each format; by default bfloat16 only where the processor multiplies faster in it."""
-    chosen: Sequence[Format] = formats or (("float32", "bfloat16") if fastest_autocast() is not None else ("float32",))
+    chosen = formats or (FORMATS if fastest_autocast() is not None else FORMATS[:1])
     return [Setting(collector, number_format) for number_format in chosen for collector in collectors]
 
 
@@ -46,7 +46,7 @@ def run(
     seeds: Sequence[int] = (0, 1, 2),
     steps: int = 100_000,
     collectors: Sequence[Collector] = get_args(Collector),
-    formats: Sequence[Format] | None = None,
+    formats: Sequence[NumberFormat] | None = None,
     **settings: Any,
 ) -> list[dict[str, Any]]:
     """Trains every setting with every seed, seed by seed, and prints side by side what their last weights reach.

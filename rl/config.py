@@ -183,7 +183,7 @@ class Learning:
     hard_update_interval: int = 1_000
     """Gradient steps between two hard copies."""
     autocast: Literal["auto", "float32", "bfloat16"] = "auto"
-    """Number format of the networks' multiplications; "auto" measures which is faster here."""
+    """Number format of the networks' multiplications; "auto" measures in which an update is faster here."""
     device: Literal["cpu", "cuda"] = "cpu"
     """Where the learner's networks are; robots are simulated, and their policy evaluated, on the CPU."""
     num_threads: int = 2

@@ -32,8 +32,9 @@ from rl.config import TrainConfig
 from rl.env import NavEnv
 from rl.evaluation import Evaluation, evaluate_as_trained, few_paths
 from rl.feasibility import check_feasible
-from rl.learner import Learner, number_format
+from rl.learner import Learner
 from rl.memory import keep_freed_memory
+from rl.number_format import fastest_number_format
 from rl.observation import keys_of
 from rl.progress import Clock, TrainingProgress, progress_bar
 from rl.replay import make_replay
@@ -87,10 +88,10 @@ def _train(config: TrainConfig, run: Run, resume: bool, console: Console) -> Run
         torchrl.logger.setLevel("WARNING")  # it would tell of every buffer that it allocates
     keep_freed_memory()
     torch.set_num_threads(config.num_threads)
+    if config.autocast == "auto":
+        config = replace(config, autocast=fastest_number_format(config))
     torch.manual_seed(config.seed)
     random.seed(config.seed)
-    if config.autocast == "auto":
-        config = replace(config, autocast="float32" if number_format("auto", config.device) is None else "bfloat16")
     seen = run.with_its_worlds(config) if resume else config
     eval_worlds = worlds_from(seen.eval_world)
     with console.status("arranging the rooms to train in"):

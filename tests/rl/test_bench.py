@@ -14,8 +14,9 @@ from rich.console import Console
 from navsim.camera import DepthCamera
 from rl import bench_env, bench_learner, bench_learning, bench_replay, bench_train
 from rl.ablations import COMPLEX, PLACES, UNSEEN
-from rl.bench_learner import CONFIG, PeerLearner, random_sample, stable_baselines_update
+from rl.bench_learner import CONFIG, PeerLearner, stable_baselines_update
 from rl.networks import make_q_actor
+from rl.number_format import random_sample
 from rl.stopwatch import stopwatch
 
 
