@@ -64,6 +64,7 @@ class _Episode:
     camera: DepthCamera
     task: Task
     robot: Robot
+    images: np.ndarray | None
     q_values: np.ndarray | None
     remembered: np.ndarray | None
 
@@ -80,6 +81,7 @@ def animate_episode(
     camera: DepthCamera | None = None,
     task: Task | None = None,
     robot: Robot = TURTLEBOT2,
+    images: np.ndarray | None = None,
     q_values: np.ndarray | None = None,
     remembered: np.ndarray | None = None,
     speed: float = 2.0,
@@ -98,6 +100,8 @@ def animate_episode(
         camera: what the robot sees with.
         task: its goal radius and control period are shown.
         robot: drawn to scale.
+        images: uint8 ``(K - 1, H, W)``, what the robot was shown at each pose but the last, where the last of them
+            stays; by default what an ideal camera sees there.
         q_values: ``(K - 1, 7)``, what the network expects of each action at each pose but the last, drawn as bars.
         remembered: ``(K - 1, S)``, metres from the robot's centre to what it remembers in each of S equal directions,
             the first of which begins behind it, counterclockwise; drawn as arcs where it is finite.
@@ -107,14 +111,22 @@ def animate_episode(
         The path.
 
     Raises:
-        ValueError: for a suffix that is neither of the two, a speed that is not positive, or poses, Q-values or what is
-            remembered of another shape, or of another number of times.
+        ValueError: for a suffix that is neither of the two, a speed that is not positive, or poses, images, Q-values or
+            what is remembered of another shape, or of another number of times.
     """
     path = Path(path)
     check_animation(path, speed)
     poses = np.asarray(poses, dtype=np.float64)
     if poses.ndim != 2 or poses.shape[1] != 3 or len(poses) == 0:
         raise ValueError(f"poses of shape {poses.shape} make no episode: give (K, 3), x, y and yaw at each time")
+    camera = camera or DepthCamera()
+    if images is not None:
+        images = np.asarray(images)
+        if images.shape != (len(poses) - 1, camera.height, camera.width) or images.dtype != np.uint8 or len(poses) == 1:
+            raise ValueError(
+                f"images of shape {images.shape} and {images.dtype} do not belong to {len(poses)} poses: give uint8 "
+                f"({len(poses) - 1}, {camera.height}, {camera.width}), one for each pose but the last"
+            )
     if q_values is not None:
         q_values = np.asarray(q_values, dtype=np.float64)
         if q_values.shape != (len(poses) - 1, NUM_ACTIONS):
@@ -138,16 +150,17 @@ def animate_episode(
         actions,
         outcome,
         obstacle_poses,
-        camera or DepthCamera(),
+        camera,
         task or Task(),
         robot,
+        images,
         q_values,
         remembered,
     )
     frame_rate = speed / episode.task.control_period
-    images = list(_frames(episode))
-    images += [images[-1]] * round(_HOLD * frame_rate)
-    film = _gif(images, frame_rate) if path.suffix.lower() == ".gif" else _mp4(images, frame_rate)
+    frames = list(_frames(episode))
+    frames += [frames[-1]] * round(_HOLD * frame_rate)
+    film = _gif(frames, frame_rate) if path.suffix.lower() == ".gif" else _mp4(frames, frame_rate)
     with atomic_write(path, "wb") as file:
         file.write(film)
     return path
@@ -180,12 +193,13 @@ class _Stage:
     def __init__(self, episode: _Episode) -> None:
         self._episode = episode
         camera, poses = episode.camera, episode.poses
-        self._depths = camera.to_uint8(
-            camera.from_planar(render_depth(episode.world, poses, camera, episode.obstacle_poses))
-        )
+        planar = render_depth(episode.world, poses, camera, episode.obstacle_poses)
+        ideal = camera.to_uint8(camera.from_planar(planar))
+        shown = episode.images
+        self._depths = ideal if shown is None else np.concatenate([shown, shown[-1:]])
         self._headings = heading(poses, episode.goal)
         self._distances = goal_distance(poses, episode.goal)
-        self._views = _view_outlines(self._depths, poses, camera)
+        self._views = _view_outlines(ideal, poses, camera)
         self.figure = Figure(figsize=_SIZE, dpi=_DPI, facecolor="white")
         self.canvas = FigureCanvasAgg(self.figure)
         self._lay_out()

@@ -218,6 +218,9 @@ def drive(
     goal: Annotated[int | None, arg(help_behavior_hint="(default: the farthest from a listed start)")] = None,
     seed: int = 0,
     speed: float = 2.0,
+    weights: Literal["best", "last"] = "best",
+    symmetric: Annotated[Literal["yes", "no"] | None, arg(help_behavior_hint="(default: as it was trained)")] = None,
+    ideal: FlagCreatePairsOff[bool] = False,
 ) -> None:
     """Film one drive: plan view, depth image, the goal's direction, and the Q-values as bars.
 
@@ -229,13 +232,26 @@ def drive(
         goal: Which of the world's goals, counted from 0 as in pictures and reports.
         seed: Seed of whatever the world leaves open: yaws of starts, starts, goals.
         speed: How many times faster than real time the film plays.
-
-    The camera is an ideal one, whatever noise, losses and latency the policy was trained with.
+        weights: Of a run: those that did best in its evaluations, or the last, which nothing was chosen by.
+        symmetric: Whether to go by the mean of the network's values for what it sees and for the mirror image of that,
+            whatever it was trained for.
+        ideal: Show ideal images, whatever noise, losses and latency the run was trained with.
     """
     from rl.drive import drive as film
 
     with busy("driving and filming"):
-        result = film(policy, world, output, start=start, goal=goal, seed=seed, speed=speed)
+        result = film(
+            policy,
+            world,
+            output,
+            start=start,
+            goal=goal,
+            seed=seed,
+            speed=speed,
+            weights=weights,
+            symmetric=None if symmetric is None else symmetric == "yes",
+            ideal=ideal,
+        )
     print(f"{output}: {result.outcome} after {result.steps} steps, {result.path_length:.1f} m")
 
 

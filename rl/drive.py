@@ -31,6 +31,9 @@ def drive(
     goal: int | None = None,
     seed: int = 0,
     speed: float = 2.0,
+    weights: Literal["best", "last"] = "best",
+    symmetric: bool | None = None,
+    ideal: bool = False,
     console: Console | None = None,
 ) -> PathResult:
     """Drives one path with a policy and writes the episode as a film.
@@ -44,6 +47,10 @@ def drive(
             first where starts are random.
         seed: of what the world leaves open: yaws, random starts and goals.
         speed: how many times faster than real time the film plays.
+        weights: of a run: those that did best in its evaluations, or the last.
+        symmetric: whether to go by the mean of the network's values for what it sees and for the mirror image of that;
+            by default as it was trained for.
+        ideal: whether it is shown ideal images, whatever noise, losses and latency it was trained with.
         console: where progress is shown; nowhere by default.
 
     Returns:
@@ -65,14 +72,14 @@ def drive(
         goals = (max(goals, key=lambda place: np.hypot(*np.subtract(place.at, starts[0].at))),)
     elif not isinstance(goals, str) and goal is None:
         goals = goals[:1]
-    driver, config = find_policy(policy)
+    driver, config = find_policy(policy, weights=weights, symmetric=symmetric)
     watched = driver if isinstance(driver, Planner) else _Watched(driver)
     result = evaluate_as_trained(
         watched,
         config,
         room.model_copy(update={"starts": starts, "goals": goals}),
         name=policy,
-        sensor=SensorModel(),  # the film shows what an ideal camera sees
+        sensor=SensorModel() if ideal else None,
         seed=seed,
         num_paths=1,
         console=console,
@@ -108,16 +115,18 @@ def _chosen(
 
 
 class _Watched:
-    """A policy that keeps what it acted on, for the film: its Q-values and what it remembers, if it has any."""
+    """A policy that keeps what it acted on, for the film: images, its Q-values and what it remembers, if it has any."""
 
     def __init__(self, policy: Callable[[TensorDictBase], TensorDictBase]) -> None:
         self._policy = policy
         self.in_keys = getattr(policy, "in_keys", ())
+        self._images: list[torch.Tensor] = []
         self._values: list[torch.Tensor] = []
         self._surroundings: list[torch.Tensor] = []
 
     def __call__(self, state: TensorDictBase) -> TensorDictBase:
         state = self._policy(state)
+        self._images.append(state["depth"][0, -1].clone())
         if "action_value" in state:
             self._values.append(state["action_value"][0].clone())
         if "surroundings" in self.in_keys:
@@ -125,8 +134,9 @@ class _Watched:
         return state
 
     def kept(self) -> dict[str, np.ndarray]:
-        """What ``animate_episode`` shows of the K steps: ``q_values`` ``(K, 7)``, ``remembered`` ``(K, SECTORS)``."""
-        kept = {}
+        """What ``animate_episode`` shows of the K steps: the newest ``images`` ``(K, H, W)``, ``q_values`` ``(K, 7)``,
+        ``remembered`` ``(K, SECTORS)``."""
+        kept = {"images": torch.stack(self._images).cpu().numpy()}
         if self._values:
             kept["q_values"] = torch.stack(self._values).cpu().numpy()
         if self._surroundings:

@@ -188,9 +188,10 @@ def _animation(run: Run, config: TrainConfig, world: World, policy: Evaluation) 
         task=config.task,
         robot=config.robot,
     )
+    seen = "" if config.sensor == SensorModel() else " The images are ideal; it saw others."
     return {
         "source": _embedded(video.read_bytes(), "video/mp4"),
-        "caption": f"{policy.policy} from {describe(shown)}: {shown.outcome} after {shown.steps} steps.",
+        "caption": f"{policy.policy} from {describe(shown)}: {shown.outcome} after {shown.steps} steps.{seen}",
     }
 
 

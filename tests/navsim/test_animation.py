@@ -12,7 +12,7 @@ from matplotlib.colors import to_rgb
 
 from navsim.animation import _REMEMBERED, _arcs, _view_outlines, animate_episode
 from navsim.camera import DepthCamera
-from navsim.draw import GOAL, OUTCOME_COLOURS, ROBOT
+from navsim.draw import GOAL, OUTCOME_COLOURS, ROBOT, VIEW
 from navsim.raycast import render_depth
 from navsim.task import Task
 from navsim.world import World
@@ -109,6 +109,36 @@ def test_q_values_are_bars_and_the_greatest_is_in_colour(tmp_path):
 def test_q_values_that_do_not_belong_to_the_poses_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"Q-values of shape \(10, 7\) do not belong to 10 poses: give \(9, 7\)"):
         animate_episode(tmp_path / "episode.gif", WORLD, DRIVE, (2.0, 0.0), q_values=np.zeros((10, 7)))
+
+
+def test_the_images_that_the_robot_was_shown_are_in_the_film(tmp_path):
+    camera, poses = DepthCamera(width=20, height=12), DRIVE[[*range(9), 8]]  # it ends where it was
+    ideal = camera.to_uint8(camera.from_planar(render_depth(WORLD, poses[:9], camera)))
+    others = np.full((9, 12, 20), 255, dtype=np.uint8)
+    others[4:, :, :10] = 20  # near, on the left
+    films = [
+        imageio.imread(animate_episode(tmp_path / name, WORLD, poses, (2.0, 0.0), camera=camera, images=images))
+        for name, images in {"a.gif": None, "b.gif": ideal, "c.gif": others}.items()
+    ]
+    by_default, same, other = films
+    np.testing.assert_array_equal(by_default, same)
+    left, right = other[:, 60:300, 570:710].astype(int), other[:, 60:300, 740:880].astype(int)
+    differs = np.abs(left.mean((1, 2)) - right.mean((1, 2))).max(axis=1) > 60
+    assert differs.tolist() == [False] * 4 + [True] * 6, "the last image stays"
+    in_view = 0.3 * np.array(to_rgb(VIEW)) + 0.7
+    of_other, of_ideal = (len(pixels(film[6][PLAN], in_view, 12)) for film in (other, same))
+    assert of_other == pytest.approx(of_ideal, rel=0.05), "what is in view does not depend on what was shown of it"
+    assert of_ideal > 3000
+
+
+@pytest.mark.parametrize(
+    "images",
+    [np.zeros((10, 64, 80), np.uint8), np.zeros((9, 80, 64), np.uint8), np.zeros((9, 64, 80))],
+    ids=["one-too-many", "another-size", "metres"],
+)
+def test_images_that_do_not_belong_to_the_poses_are_refused(tmp_path, images):
+    with pytest.raises(ValueError, match=r"do not belong to 10 poses: give uint8 \(9, 64, 80\)"):
+        animate_episode(tmp_path / "episode.gif", WORLD, DRIVE, (2.0, 0.0), images=images)
 
 
 @pytest.mark.parametrize(

@@ -10,13 +10,15 @@ import torch
 import rl.drive
 from navsim.camera import DepthCamera
 from navsim.raycast import render_depth
-from navsim.sensor import KINECT, SensorModel
+from navsim.sensor import SensorModel
 from navsim.worldfile import load_world
 from navsim.worldsource import world_from
 from rl.cli import main
 from rl.config import TrainConfig
 from rl.drive import drive
+from rl.evaluation import evaluate
 from rl.learner import make_actor
+from rl.policies import load_policy
 from rl.run import Run
 from rl.surroundings import Surroundings
 
@@ -86,19 +88,57 @@ def test_by_default_it_drives_from_the_first_start_to_the_goal_farthest_from_it(
     assert np.hypot(*np.subtract(result.goal, world.starts[0].at)) == pytest.approx(np.hypot(*offsets.T).max())
 
 
-def test_a_film_is_what_an_ideal_camera_sees(filmed, monkeypatch, tmp_path):
-    noisy = Run.create(TrainConfig(camera=DepthCamera(width=14, height=10), sensor=KINECT, out=tmp_path / "noisy"))
-    noisy.save_policy("policy", make_actor(noisy.config).state_dict())
-    seen = []
-    evaluate = rl.drive.evaluate_as_trained
+def images_of(world, poses, camera):
+    return camera.to_uint8(camera.from_planar(render_depth(world, poses, camera)))
 
-    def note(*arguments, **settings):
-        seen.append(settings["sensor"])
-        return evaluate(*arguments, **settings)
 
-    monkeypatch.setattr(rl.drive, "evaluate_as_trained", note)
-    drive(str(noisy.directory), "simple_eval", tmp_path / "a.gif")
-    assert seen == [SensorModel()]
+@pytest.fixture
+def late(tmp_path):
+    """A run whose images come two steps late."""
+    late = SensorModel(latency=2)
+    run = Run.create(TrainConfig(camera=DepthCamera(width=14, height=10), sensor=late, out=tmp_path / "late"))
+    torch.manual_seed(0)
+    run.save_policy("policy", make_actor(run.config).state_dict())
+    return run
+
+
+def test_the_images_shown_are_those_that_the_robot_saw(late, filmed, tmp_path):
+    result = drive(str(late.directory), "simple_eval", tmp_path / "a.gif")
+    at = np.maximum(np.arange(result.steps) - 2, 0)
+    expected = images_of(load_world("simple_eval"), result.trajectory[at], late.config.camera)
+    np.testing.assert_array_equal(filmed["images"], expected)
+
+
+def test_ideal_images_are_shown_to_who_asks_for_them(late, filmed, tmp_path):
+    result = drive(str(late.directory), "simple_eval", tmp_path / "a.gif", ideal=True)
+    expected = images_of(load_world("simple_eval"), result.trajectory[:-1], late.config.camera)
+    np.testing.assert_array_equal(filmed["images"], expected)
+
+
+def test_it_drives_by_the_weights_and_the_symmetry_that_are_asked_for(run, filmed, tmp_path):
+    torch.manual_seed(7)
+    run.save_policy("policy_last", make_actor(run.config).state_dict())
+    film = str(tmp_path / "a.mp4")
+    arguments = ["drive", str(run.directory), "--world", "simple_eval", "--goal", "0", "-o", film]
+    assert main([*arguments, "--weights", "last", "--symmetric", "yes"]) == 0
+    asked = filmed["q_values"]
+    expected = Values(load_policy(run.directory, weights="last", symmetric=True))
+    evaluate(expected, "simple_eval", camera=run.config.camera, num_paths=1)
+    np.testing.assert_allclose(asked, torch.stack(expected.values))
+    assert main(arguments) == 0
+    assert not np.allclose(filmed["q_values"][0], asked[0])
+
+
+class Values:
+    """A policy that keeps its values."""
+
+    def __init__(self, policy):
+        self.policy, self.in_keys, self.values = policy, policy.in_keys, []
+
+    def __call__(self, state):
+        state = self.policy(state)
+        self.values.append(state["action_value"][0].clone())
+        return state
 
 
 def test_it_drives_in_a_generated_room(filmed, tmp_path):

@@ -6,6 +6,7 @@ import base64
 import io
 import json
 import shutil
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import imageio.v3 as imageio
@@ -15,6 +16,7 @@ import torch
 from matplotlib.colors import to_hex
 
 from navsim.draw import OUTCOME_COLOURS
+from navsim.sensor import KINECT
 from navsim.task import Task
 from navsim.world import World
 from navsim.worldfile import save_world
@@ -178,6 +180,22 @@ def test_what_chose_the_weights_is_told_beside_the_last_ones(run, tmp_path):
     text = " ".join(" ".join(page.text).split())
     count = len(copied.evaluations.rows())
     assert f"D3QN-I has the weights of the best of {count} evaluations, which drove the same paths; nothing" in text
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"margin": 0.0}, {"m stricter": 0, "These images are ideal": 0, "The images are ideal": 0}),
+        ({"margin": 0.06, "sensor": KINECT}, {"0.06 m stricter": 1, "These images are ideal": 2, "The images are": 1}),
+    ],
+    ids=["by-the-rules", "stricter-with-noise"],
+)
+def test_captions_tell_of_stricter_rules_and_of_images_that_the_robot_did_not_see(run, tmp_path, settings, told):
+    copy = shutil.copytree(run.directory, tmp_path / "run")
+    config = replace(run.config, **settings)
+    (copy / "config.json").write_text(json.dumps(config.to_dict()), encoding="utf-8")
+    text = " ".join(Page(write_report(Run(copy)).read_text(encoding="utf-8")).text)
+    assert {words: text.count(words) for words in told} == told
 
 
 def test_a_run_without_versions_says_so(run, tmp_path):
