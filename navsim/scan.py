@@ -25,12 +25,18 @@ def metres(depth: np.ndarray, camera: DepthCamera) -> np.ndarray:
 
 
 def obstacle_depth(
-    depth: np.ndarray, camera: DepthCamera, *, low: float = FLOOR_TOLERANCE, high: float = CLEAR_HEIGHT
+    depth: np.ndarray,
+    camera: DepthCamera,
+    *,
+    low: float = FLOOR_TOLERANCE,
+    high: float = CLEAR_HEIGHT,
+    lossy: bool = False,
 ) -> np.ndarray:
     """Least planar depth of each column over the pixels that show something between two heights.
 
     A pixel's height above the floor follows from its depth and its row, so the floor drops out by geometry and so does
-    what hangs above ``high``. "No return" (0) is something nearer than the camera's blind zone: its depth is 0.
+    what hangs above ``high``. "No return" (0) is something nearer than the camera's blind zone, and its depth 0; where
+    a sensor loses returns as well, it tells nothing.
 
     A column is one of a level camera's, whatever the camera's pitch. What a pitched camera sees there lies along a line
     of its image that leans: in each row the pixel nearest to it is taken. Depth is along the floor.
@@ -40,6 +46,7 @@ def obstacle_depth(
         camera: whose images they are; H and W are its height and width.
         low: metres above the floor; lower pixels are floor.
         high: metres above the floor; higher pixels are out of the way.
+        lossy: whether the sensor loses returns, see ``navsim.sensor.SensorModel.loses_returns``.
 
     Returns:
         ``(..., W)`` float32, metres ahead; ``camera.max_range`` where the column is free.
@@ -48,6 +55,8 @@ def obstacle_depth(
     forward = reading if camera.depth == "planar" else reading / camera.ray_lengths
     height = np.float32(camera.mount_z) + camera.row_climbs.astype(np.float32)[:, None] * forward
     obstructs = (reading < camera.max_range) & (height > low) & (height < high)
+    if lossy:
+        obstructs &= reading > 0.0
     if camera.pitch_deg:
         columns, inside = _columns_of_level_camera(camera)
         obstructs = np.take_along_axis(obstructs, _like(columns, obstructs), axis=-1) & inside

@@ -86,6 +86,11 @@ class SensorModel:
         return any(value > 0.0 for value in (self.axial_noise, self.lateral_noise, self.edge_loss, self.grazing_loss))
 
     @property
+    def loses_returns(self) -> bool:
+        """Whether pixels have no return for other reasons than what is nearer than the camera's blind zone."""
+        return self.shadows or self.edge_loss > 0.0 or self.grazing_loss > 0.0
+
+    @property
     def is_exact(self) -> bool:
         """Whether images are the ideal ones, be they late."""
         return not (self.is_noisy or self.shadows or self.disparity_step > 0.0)

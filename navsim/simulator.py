@@ -132,6 +132,8 @@ class Simulator:
         self.wheel_errors = np.zeros((num_robots, 2))
         most_latency = self.sensor.latency + self.randomization.latency[1]
         self._sensor = Sensor(self.camera, self.sensor, num_robots, most_latency)
+        # Newest first, as the sensor keeps its images.
+        self._past_poses = np.zeros((num_robots, most_latency + 1, 3))
         self._scene = Scene([world.fixed_prisms for world in self.worlds])
         self._physics = Physics(self.worlds, num_robots, robot, self.task.substep)
         self._episodes: dict[int, Episodes] = {}
@@ -153,6 +155,11 @@ class Simulator:
     def obstacle_poses(self) -> np.ndarray:
         """``(N, D, 3)`` x, y, angle of each robot's own obstacles that move or can be pushed: ``navsim.dynamics``."""
         return self._physics.obstacle_poses
+
+    @property
+    def image_poses(self) -> np.ndarray:
+        """``(N, 3)`` where the images that the robots get now were taken: their ``poses``, but for latency; a copy."""
+        return self._past_poses[np.arange(self.num_robots), self._sensor.latency]
 
     @property
     def world_index(self) -> np.ndarray:
@@ -187,11 +194,7 @@ class Simulator:
         Raises:
             ValueError: for a mask or paths of another length, or a path that does not exist.
         """
-        chosen = np.ones(self.num_robots, dtype=bool) if mask is None else np.asarray(mask)
-        if chosen.shape != (self.num_robots,) or chosen.dtype != bool:
-            raise ValueError(
-                f"the reset mask must be bool of shape ({self.num_robots},); got {chosen.dtype} of shape {chosen.shape}"
-            )
+        chosen = np.ones(self.num_robots, dtype=bool) if mask is None else self._checked_mask(mask, "reset")
         if paths is not None and len(paths) != self.num_robots:
             raise ValueError(f"there must be one path a robot, {self.num_robots} in all; got {len(paths)}")
         robots = np.flatnonzero(chosen)
@@ -199,28 +202,50 @@ class Simulator:
             self._begin(robots, [None if paths is None else paths[robot] for robot in robots.tolist()])
             self.ideal_depth[robots] = self._look(robots)
             self._sensor.begin(robots, self.ideal_depth[robots])
-        return Observation(
-            self._sensor.images,
-            heading(self.poses, self.goals).astype(np.float32),
-            self.poses.astype(np.float32),
-        )
+            self._past_poses[robots] = self.poses[robots, None]
+        return self._perceived()
 
-    def step(self, actions: np.ndarray) -> Transition:
+    def step(self, actions: np.ndarray, mask: np.ndarray | None = None) -> Transition:
         """One control period for every robot.
 
         Args:
             actions: ``(N,)`` integers, indices into ``navsim.robot.ACTIONS``.
+            mask: ``(N,)`` bool, the robots that are stepped; all by default. For the others no time passes: they stay
+                as they are, whether their episodes have ended or not, and their rows of what is returned say what they
+                perceive, no reward and no event.
 
         Raises:
-            ValueError: for actions that do not exist.
-            RuntimeError: when a robot's episode has ended and it was not reset.
+            ValueError: for actions that do not exist, or a mask of another length.
+            RuntimeError: when the episode of a robot that is to be stepped has ended and it was not reset.
         """
+        if mask is None:
+            return self._step_all(actions)
+        stepped = self._checked_mask(mask, "step")
+        before = self.state_dict()
+        self._ended = self._ended & stepped
+        try:
+            moved = self._step_all(actions)
+        except (ValueError, RuntimeError):
+            self._ended = before["ended"]
+            raise
+        self.load_state_dict(_rows_of_both(stepped, self.state_dict(), before))
+        depth, headings, pose = self._perceived()
+        return Transition(
+            depth,
+            headings,
+            pose,
+            np.where(stepped, moved.reward, np.float32(0.0)),
+            *(stepped & event for event in moved[4:]),
+        )
+
+    def _step_all(self, actions: np.ndarray) -> Transition:
         self.commands = apply_actions(self.commands, self._checked(actions))
         driven = with_wheel_errors(self.commands, self.wheel_errors)
         _, bumper = self._physics.drive(driven, self.task.control_period)
         self.steps += 1
         self.ideal_depth = self._look(np.arange(self.num_robots))
         self._sensor.advance(self.ideal_depth)
+        self._past_poses = np.concatenate([self.poses[:, None], self._past_poses[:, :-1]], axis=1)
         too_near = self.ideal_depth.min(axis=(1, 2)) < self.task.collision_depth
         if not self.task.pushing_is_collision:
             bumper = self._physics.touched_solid.copy()
@@ -259,6 +284,7 @@ class Simulator:
             "mounts": np.stack(self.mounts, axis=1),
             "wheel_errors": self.wheel_errors.copy(),
             "sensor": self._sensor.state_dict(),
+            "past_poses": self._past_poses.copy(),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -284,6 +310,9 @@ class Simulator:
         self.mounts = Mounts(*np.array(state["mounts"], dtype=np.float64).T)
         self.wheel_errors = np.array(state["wheel_errors"], dtype=np.float64)
         self._sensor.load_state_dict(state["sensor"])
+        # States from before it was kept have none.
+        past_poses = state.get("past_poses", np.repeat(self.poses[:, None], self._past_poses.shape[1], axis=1))
+        self._past_poses = np.array(past_poses, dtype=np.float64)
         self.ideal_depth = self._look(np.arange(self.num_robots))
 
     def _begin(self, robots: np.ndarray, paths: list[Path | None]) -> None:
@@ -358,6 +387,18 @@ class Simulator:
         anyway[robots] = self._images(robots, moving).min(axis=(1, 2)) < self.task.collision_depth
         return anyway
 
+    def _perceived(self) -> Observation:
+        headings = heading(self.poses, self.goals)
+        return Observation(self._sensor.images, headings.astype(np.float32), self.poses.astype(np.float32))
+
+    def _checked_mask(self, mask: np.ndarray, of: str) -> np.ndarray:
+        mask = np.asarray(mask)
+        if mask.shape != (self.num_robots,) or mask.dtype != bool:
+            raise ValueError(
+                f"the {of} mask must be bool of shape ({self.num_robots},); got {mask.dtype} of shape {mask.shape}"
+            )
+        return mask
+
     def _checked(self, actions: np.ndarray) -> np.ndarray:
         actions = np.asarray(actions)
         if actions.shape != (self.num_robots,) or not np.issubdtype(actions.dtype, np.integer):
@@ -370,3 +411,12 @@ class Simulator:
         if self._ended.any():
             raise RuntimeError(f"robot {int(np.argmax(self._ended))} has no running episode: reset it before stepping")
         return actions
+
+
+def _rows_of_both(mask: np.ndarray, ones: Any, others: Any) -> Any:
+    """Of two states, the robots in ``mask`` ``(N,)`` of the one and the rest of the other."""
+    if isinstance(ones, dict):
+        return {key: _rows_of_both(mask, value, others[key]) for key, value in ones.items()}
+    if isinstance(ones, np.ndarray):
+        return np.where(mask.reshape(-1, *[1] * (ones.ndim - 1)), ones, others)
+    return [one if of_one else other for of_one, one, other in zip(mask, ones, others, strict=True)]

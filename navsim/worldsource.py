@@ -129,7 +129,8 @@ def check_sources(source: WorldSource | Sequence[WorldSource]) -> None:
 def have_rooms_in_common(
     sources: Iterable[WorldSource], others: Iterable[WorldSource], seed: int = 0, other_seed: int = 0
 ) -> bool:
-    """Whether some world of ``sources`` is one of ``others``, whatever it is called; files that are missing are none.
+    """Whether some world of ``sources`` is one of ``others``, whatever it is called and wherever its starts and goals
+    are; files that are missing are none.
 
     Args:
         sources: paths, names, or sources of generated rooms.
@@ -161,7 +162,7 @@ def _identity(source: WorldSource, seed: int) -> object:
         world = source if isinstance(source, World) else load_world(source)
     except WorldError:
         return source
-    return world.model_copy(update={"name": ""})
+    return world.model_copy(update={"name": "", "starts": "random", "goals": "random"})
 
 
 def _listed(source: WorldSource | Sequence[WorldSource]) -> list[WorldSource]:

@@ -4,25 +4,47 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from rl.baselines import make_baseline
     from rl.collect import make_env
+    from rl.config import PRESETS, TrainConfig
     from rl.env import NavEnv
     from rl.evaluation import Evaluation, evaluate
     from rl.loss import D3QNLoss
-    from rl.networks import make_q_actor
+    from rl.networks import make_q_actor, symmetric_policy
     from rl.policies import load_policy
     from rl.replay import make_replay
+    from rl.run import RunError
 
-__all__ = ["D3QNLoss", "Evaluation", "NavEnv", "evaluate", "load_policy", "make_env", "make_q_actor", "make_replay"]
+__all__ = [
+    "PRESETS",
+    "D3QNLoss",
+    "Evaluation",
+    "NavEnv",
+    "RunError",
+    "TrainConfig",
+    "evaluate",
+    "load_policy",
+    "make_baseline",
+    "make_env",
+    "make_q_actor",
+    "make_replay",
+    "symmetric_policy",
+]
 
 _MODULES = {
+    "PRESETS": "rl.config",
     "D3QNLoss": "rl.loss",
     "Evaluation": "rl.evaluation",
     "NavEnv": "rl.env",
+    "RunError": "rl.run",
+    "TrainConfig": "rl.config",
     "evaluate": "rl.evaluation",
     "load_policy": "rl.policies",
+    "make_baseline": "rl.baselines",
     "make_env": "rl.collect",
     "make_q_actor": "rl.networks",
     "make_replay": "rl.replay",
+    "symmetric_policy": "rl.networks",
 }
 
 

@@ -14,6 +14,7 @@ from navsim.camera import DepthCamera
 from navsim.oracle import Oracle
 from navsim.robot import ACTIONS, NUM_ACTIONS, Robot, apply_actions, wrap_angle
 from navsim.scan import obstacle_depth, scan_points
+from navsim.sensor import SensorModel
 from navsim.task import Task
 from navsim.world import World
 
@@ -128,6 +129,7 @@ class ReactivePolicy(_Driver):
 
     Args:
         camera: whose images they are; by default the Kinect, at whatever size the images have.
+        lossy: whether its sensor loses returns, so that a pixel without one is no obstacle.
     """
 
     name = "reactive"
@@ -159,9 +161,9 @@ class ReactivePolicy(_Driver):
 
     _DIRECTIONS = np.deg2rad(np.arange(-135.0, 136.0, 5.0))
 
-    def __init__(self, camera: DepthCamera | None = None) -> None:
+    def __init__(self, camera: DepthCamera | None = None, *, lossy: bool = False) -> None:
         super().__init__()
-        self._camera = camera
+        self._camera, self._lossy = camera, lossy
 
     def _wanted(
         self, tensordict: TensorDictBase, headings: np.ndarray, commands: np.ndarray
@@ -174,7 +176,7 @@ class ReactivePolicy(_Driver):
                 f"{images.shape[2]}x{images.shape[1]}: give make_baseline the camera that they come from"
             )
         last = _remembered(tensordict, "direction", headings)
-        scan = obstacle_depth(images, camera)
+        scan = obstacle_depth(images, camera, lossy=self._lossy)
         free = self._free_distances(scan, camera, commands)
         directions, free_there = self._choose(free, headings, last)
 
@@ -247,18 +249,18 @@ class OraclePolicy:
 
 Baseline = RandomPolicy | StraightPolicy | ReactivePolicy | OraclePolicy
 
-_MAKERS: dict[str, Callable[[DepthCamera | None], Baseline]] = {
-    "random": lambda camera: RandomPolicy(),
-    "straight": lambda camera: StraightPolicy(),
-    "reactive": ReactivePolicy,
-    "oracle": lambda camera: OraclePolicy(),
+_MAKERS: dict[str, Callable[[DepthCamera | None, SensorModel], Baseline]] = {
+    "random": lambda camera, sensor: RandomPolicy(),
+    "straight": lambda camera, sensor: StraightPolicy(),
+    "reactive": lambda camera, sensor: ReactivePolicy(camera, lossy=sensor.loses_returns),
+    "oracle": lambda camera, sensor: OraclePolicy(),
 }
 
 BASELINES = tuple(_MAKERS)
 """Names that :func:`make_baseline` knows."""
 
 
-def make_baseline(name: str, camera: DepthCamera | None = None) -> Baseline:
+def make_baseline(name: str, camera: DepthCamera | None = None, sensor: SensorModel | None = None) -> Baseline:
     """A policy to compare with, to be evaluated with ``rl.evaluate``.
 
     All but the oracle are TensorDictModules, which work in TorchRL's collectors as well.
@@ -266,10 +268,11 @@ def make_baseline(name: str, camera: DepthCamera | None = None) -> Baseline:
     Args:
         name: one of ``BASELINES``.
         camera: whose images it will see; by default the Kinect, at whatever size the images have.
+        sensor: what it will see them through; by default an ideal one.
 
     Raises:
         ValueError: for another name.
     """
     if name not in _MAKERS:
         raise ValueError(f'there is no baseline "{name}"; there are {", ".join(BASELINES)}')
-    return _MAKERS[name](camera)
+    return _MAKERS[name](camera, sensor or SensorModel())

@@ -19,6 +19,7 @@ from rl.number_format import FORMATS, NumberFormat
 from rl.policies import load_policy
 from rl.run import Run
 from rl.series import Planned, run_series
+from rl.subnormals import subnormals_are_zero
 
 Collector = Literal["sync", "async"]
 
@@ -34,7 +35,8 @@ def matrix(
     collectors: Sequence[Collector] = get_args(Collector), formats: Sequence[NumberFormat] | None = None
 ) -> list[Setting]:
     """The collectors with each format; by default bfloat16 only where the processor multiplies faster in it."""
-    chosen = formats or (FORMATS if fastest_autocast() is not None else FORMATS[:1])
+    with subnormals_are_zero():  # which PyTorch's threads keep to if they begin so
+        chosen = formats or (FORMATS if fastest_autocast() is not None else FORMATS[:1])
     return [Setting(collector, number_format) for number_format in chosen for collector in collectors]
 
 

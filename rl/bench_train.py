@@ -118,7 +118,7 @@ def measure(kind: Kind, steps: int, exact: bool) -> dict[str, Any]:
 
     Returns:
         ``seconds``, ``parts`` (seconds), ``steady_steps_per_second`` (from a quarter of the run on), ``thesis_seconds``
-        (400,000 steps at that rate), ``peak_megabytes`` of all processes together, ``updates``.
+        (400,000 steps at that rate), ``peak_megabytes`` of all processes together, ``settings``.
     """
     from torchrl.collectors import AsyncCollector, Collector
     from torchrl.data import TensorDictReplayBuffer

@@ -11,7 +11,6 @@ import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
-from torch.utils._pytree import tree_map
 from torchrl.collectors import Collector
 from torchrl.modules import EGreedyModule
 
@@ -146,23 +145,13 @@ class ResumableCollector(Collector):
         return OrderedDict(
             frames=self._frames,
             iter=self._iter,
-            environment=tree_map(_as_tensor, self.env.state_dict()),
+            environment=self.env.state_dict(),
             perceived=dict(self._carrier.flatten_keys(".").items()),
         )
 
     def load_state_dict(self, state_dict: OrderedDict, **kwargs: Any) -> None:
         """Goes on from ``state_dict``."""
         self._frames, self._iter = state_dict["frames"], state_dict["iter"]
-        environment = state_dict["environment"]
-        arrays = {part: tree_map(_as_array, state) for part, state in environment.items() if part != "frames"}
-        self.env.load_state_dict(environment | arrays)
+        self.env.load_state_dict(state_dict["environment"])
         perceived = TensorDict(state_dict["perceived"], self.env.batch_size, device=self._carrier.device)
         self._carrier = perceived.unflatten_keys(".").clone()
-
-
-def _as_tensor(value: Any) -> Any:
-    return torch.from_numpy(value) if isinstance(value, np.ndarray) else value
-
-
-def _as_array(value: Any) -> Any:
-    return value.numpy() if isinstance(value, torch.Tensor) else value

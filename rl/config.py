@@ -95,7 +95,7 @@ class Experiment:
     total_steps: int = 400_000
     """Environment steps (transitions) to collect in all; one is 0.2 s of one robot."""
     seed: int = 0
-    """Seed of everything random. Same seed, machine and versions: the same run."""
+    """Seed of everything random. Same seed, machine, versions and --autocast: the same run."""
     out: Path | None = None
     """The run's directory; by default runs/PRESET-MODEL-seedSEED, with other worlds' names before the seed."""
 
@@ -183,7 +183,8 @@ class Learning:
     hard_update_interval: int = 1_000
     """Gradient steps between two hard copies."""
     autocast: Literal["auto", "float32", "bfloat16"] = "auto"
-    """Number format of the networks' multiplications; "auto" measures in which an update is faster here."""
+    """Number format of the networks' multiplications; "auto" measures in which an update is faster here, and writes the
+    answer into config.json."""
     device: Literal["cpu", "cuda"] = "cpu"
     """Where the learner's networks are; robots are simulated, and their policy evaluated, on the CPU."""
     num_threads: int = 2

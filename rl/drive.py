@@ -15,7 +15,8 @@ from navsim.animation import animate_episode, check_animation
 from navsim.sensor import SensorModel
 from navsim.world import Goal, Start
 from navsim.worldsource import world_from
-from rl.evaluation import PathResult, Planner, evaluate_as_trained
+from rl.config import TrainConfig
+from rl.evaluation import PathResult, Planner, Policy, evaluate_as_trained
 from rl.policies import find_policy
 from rl.surroundings import REACH
 
@@ -23,7 +24,7 @@ _Place = TypeVar("_Place", Start, Goal)
 
 
 def drive(
-    policy: str,
+    policy: str | Policy,
     world: str,
     output: Path,
     *,
@@ -39,7 +40,8 @@ def drive(
     """Drives one path with a policy and writes the episode as a film.
 
     Args:
-        policy: what ``rl.policies.find_policy`` takes: a run's directory, ``pretrained:NAME``, or a baseline.
+        policy: a run's directory, ``pretrained:NAME``, or the name of a baseline; or a policy as ``rl.evaluate`` takes
+            it, which is driven with the Kinect at 80x64 unless it is from ``rl.load_policy``.
         world: a world file, the name of a shipped world, or a generated room, such as ``generate:clutter,seed=3``.
         output: film to write, ``.mp4`` or ``.gif``.
         start: which of the world's starts, counted from 0 as in pictures, reports and messages; by default the first.
@@ -48,8 +50,8 @@ def drive(
         seed: of what the world leaves open: yaws, random starts and goals.
         speed: how many times faster than real time the film plays.
         weights: of a run: those that did best in its evaluations, or the last.
-        symmetric: whether to go by the mean of the network's values for what it sees and for the mirror image of that;
-            by default as it was trained for.
+        symmetric: of what is named: whether to go by the mean of the network's values for what it sees and for the
+            mirror image of that; by default as it was trained for.
         ideal: whether it is shown ideal images, whatever noise, losses and latency it was trained with.
         console: where progress is shown; nowhere by default.
 
@@ -72,13 +74,16 @@ def drive(
         goals = (max(goals, key=lambda place: np.hypot(*np.subtract(place.at, starts[0].at))),)
     elif not isinstance(goals, str) and goal is None:
         goals = goals[:1]
-    driver, config = find_policy(policy, weights=weights, symmetric=symmetric)
+    if isinstance(policy, str):
+        driver, config = find_policy(policy, weights=weights, symmetric=symmetric)
+    else:
+        driver, config = policy, getattr(policy, "trained_as", TrainConfig())
     watched = driver if isinstance(driver, Planner) else _Watched(driver)
     result = evaluate_as_trained(
         watched,
         config,
         room.model_copy(update={"starts": starts, "goals": goals}),
-        name=policy,
+        name=policy if isinstance(policy, str) else "",
         sensor=SensorModel() if ideal else None,
         seed=seed,
         num_paths=1,
@@ -114,17 +119,20 @@ def _chosen(
     return (places[number],)
 
 
-class _Watched:
+class _Watched(torch.nn.Module):
     """A policy that keeps what it acted on, for the film: images, its Q-values and what it remembers, if it has any."""
 
     def __init__(self, policy: Callable[[TensorDictBase], TensorDictBase]) -> None:
+        super().__init__()
         self._policy = policy
+        self.training = getattr(policy, "training", False)  # to which an evaluation returns
         self.in_keys = getattr(policy, "in_keys", ())
         self._images: list[torch.Tensor] = []
         self._values: list[torch.Tensor] = []
         self._surroundings: list[torch.Tensor] = []
 
-    def __call__(self, state: TensorDictBase) -> TensorDictBase:
+    def forward(self, state: TensorDictBase) -> TensorDictBase:
+        """What the policy does."""
         state = self._policy(state)
         self._images.append(state["depth"][0, -1].clone())
         if "action_value" in state:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
+from torch.utils._pytree import tree_map
 from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
@@ -16,7 +18,7 @@ from navsim.randomization import Randomization
 from navsim.robot import NUM_ACTIONS, TURTLEBOT2, Robot
 from navsim.sensor import SensorModel
 from navsim.simulator import Observation, Simulator
-from navsim.task import Task
+from navsim.task import Path, Task
 from navsim.worldsource import TRAINING_SEED, WorldSource, worlds_from
 from rl.observation import NUM_FRAMES, history_length, stack_of
 from rl.surroundings import REACH, SECTORS, Surroundings
@@ -44,7 +46,10 @@ class NavEnv(EnvBase):
     ``pose``                        float32 ``(N, 3)``          x, y (m), yaw (rad): for analysis, not for policies
     ==============================  ==========================  ====================================================
 
-    Finished robots are reset one by one through ``"_reset"``, as every TorchRL collector does.
+    Finished robots are reset one by one through ``"_reset"``, as every TorchRL collector does; ``reset(paths=...)``
+    begins the episodes that ``Simulator.reset`` names so. Robots that ``"_step"`` leaves out, as
+    ``rollout(..., break_when_all_done=True)`` does with those that have arrived, stay as they are. To act less often,
+    give ``task`` a longer ``control_period``: ``FrameSkipTransform`` goes on after an episode's end.
 
     Args:
         world: a world, the path of a world file (or the name of a shipped one), or generated rooms such as
@@ -106,7 +111,9 @@ class NavEnv(EnvBase):
         )
         height, width = self.simulator.camera.height, self.simulator.camera.width
         self._history = torch.zeros((num_envs, history_length(frame_interval), height, width), dtype=torch.uint8)
-        self.surroundings = Surroundings(num_envs, self.simulator.camera) if surroundings else None
+        self.surroundings: Surroundings | None = None
+        if surroundings:
+            self.surroundings = Surroundings(num_envs, self.simulator.camera, lossy=self.simulator.sensor.loses_returns)
         self._make_specs(num_envs, height, width)
 
     def _make_specs(self, n: int, height: int, width: int) -> None:
@@ -132,13 +139,15 @@ class NavEnv(EnvBase):
             self.device
         )
 
-    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs) -> TensorDictBase:
+    def _reset(
+        self, tensordict: TensorDictBase | None = None, *, paths: Sequence[Path | None] | None = None
+    ) -> TensorDictBase:
         mask = None
         if tensordict is not None and "_reset" in tensordict:
             mask = tensordict["_reset"].reshape(-1).cpu().numpy()
-        observation = self.simulator.reset(mask)
+        observation = self.simulator.reset(mask, paths)
         if self.surroundings is not None:
-            self.surroundings.begin(observation.depth, self.simulator.poses, mask)
+            self.surroundings.begin(observation.depth, self.simulator.image_poses, mask)
         depth = torch.from_numpy(observation.depth)
         if mask is None:
             self._history = depth.unsqueeze(1).repeat(1, self._history.shape[1], 1, 1)
@@ -159,22 +168,31 @@ class NavEnv(EnvBase):
         )
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        moved = self.simulator.step(tensordict["action"].cpu().numpy())
+        asked = tensordict.get("_step", None)
+        mask = None if asked is None or asked.all() else asked.reshape(-1).cpu().numpy()
+        moved = self.simulator.step(tensordict["action"].cpu().numpy(), mask)
         if self.surroundings is not None:
-            self.surroundings.see(moved.depth, self.simulator.poses)
-        self._history = torch.cat([self._history[:, 1:], torch.from_numpy(moved.depth).unsqueeze(1)], dim=1)
+            self.surroundings.see(moved.depth, self.simulator.image_poses, mask)
+        history = torch.cat([self._history[:, 1:], torch.from_numpy(moved.depth).unsqueeze(1)], dim=1)
         terminated, truncated = _column(moved.terminated), _column(moved.truncated)
-        return self._pack(
-            Observation(moved.depth, moved.heading, moved.pose),
-            reward=_column(moved.reward),
-            success=_column(moved.success),
-            collision=_column(moved.collision),
-            bumper=_column(moved.bumper),
-            too_near=_column(moved.too_near),
-            done=terminated | truncated,
-            terminated=terminated,
-            truncated=truncated,
-        )
+        flags = {
+            "success": _column(moved.success),
+            "collision": _column(moved.collision),
+            "bumper": _column(moved.bumper),
+            "too_near": _column(moved.too_near),
+            "done": terminated | truncated,
+            "terminated": terminated,
+            "truncated": truncated,
+        }
+        if mask is not None:  # the robots that are left out keep their images and what is said of their episodes
+            held = torch.from_numpy(np.flatnonzero(~mask))
+            history[held] = self._history[held]
+            for key, flag in flags.items():
+                if (before := tensordict.get(key, None)) is not None:
+                    flag[held] = before.cpu()[held]
+        self._history = history
+        observation = Observation(moved.depth, moved.heading, moved.pose)
+        return self._pack(observation, reward=_column(moved.reward), **flags)
 
     def _pack(self, observation: Observation, **others: torch.Tensor) -> TensorDict:
         entries = {
@@ -204,18 +222,32 @@ class NavEnv(EnvBase):
         self.simulator.reseed(seed)
 
     def state_dict(self, *args, **kwargs) -> dict:
-        """All that the future depends on: robots, episodes, generators, image stacks, memories."""
+        """All that the future depends on: robots, episodes, generators, image stacks, memories.
+
+        Tensors and plain values only, which ``torch.load`` reads.
+        """
         state = {"simulator": self.simulator.state_dict(), "frames": self._history.clone()}
         if self.surroundings is not None:
             state["surroundings"] = self.surroundings.state_dict()
-        return state
+        return tree_map(_as_tensor, state)
 
     def load_state_dict(self, state_dict: dict, *args, **kwargs) -> None:
-        """Goes on exactly where ``state_dict`` was taken."""
-        self.simulator.load_state_dict(state_dict["simulator"])
+        """Goes on exactly where ``state_dict`` was taken; of an empty one, which TorchRL's ``Collector`` keeps of an
+        environment like this, nothing is changed."""
+        if not state_dict:
+            return
+        self.simulator.load_state_dict(tree_map(_as_array, state_dict["simulator"]))
         self._history = state_dict["frames"].clone()
         if self.surroundings is not None:
-            self.surroundings.load_state_dict(state_dict["surroundings"])
+            self.surroundings.load_state_dict(tree_map(_as_array, state_dict["surroundings"]))
+
+
+def _as_tensor(value: Any) -> Any:
+    return torch.from_numpy(value) if isinstance(value, np.ndarray) else value
+
+
+def _as_array(value: Any) -> Any:
+    return value.numpy() if isinstance(value, torch.Tensor) else value
 
 
 def _column(values: np.ndarray) -> torch.Tensor:

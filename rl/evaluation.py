@@ -371,10 +371,10 @@ def evaluate(
     name: str = "",
     camera: DepthCamera | None = None,
     task: Task | None = None,
-    robot: Robot = TURTLEBOT2,
+    robot: Robot | None = None,
     sensor: SensorModel | None = None,
     randomization: Randomization | None = None,
-    frame_interval: int = 1,
+    frame_interval: int | None = None,
     seed: int = 0,
     num_paths: int | None = None,
     console: Console | None = None,
@@ -389,17 +389,19 @@ def evaluate(
         policy: takes a tensordict with ``depth`` uint8 ``(N, 4, H, W)``, ``heading`` float32 ``(N, 1)``, ``command``
             float32 ``(N, 2)``, if its ``in_keys`` name them ``surroundings`` float32 ``(N, 36)``, ``pose`` float32
             ``(N, 3)`` and ``is_init`` bool ``(N, 1)``, true in an episode's first step, and writes ``action`` ``(N,)``.
-            What else it writes is there in the next step: its memory, one row a robot. Or a ``Planner``; a path for
-            which it has no plan counts as a timeout of no steps.
+            What else it writes is there in the next step: its memory, one row a robot; what it writes under ``next``,
+            as TorchRL's recurrent modules do, in its place at the root. It gets all this on the device of its weights.
+            Or a ``Planner``; a path for which it has no plan counts as a timeout of no steps.
         world: a world, the path or name of a world file, or generated rooms such as
             ``"generate:clutter,count=200,seed=1"`` (see ``navsim.worldsource``); or several of these.
         name: of the policy, for tables; by default the policy's own ``name``, or its class's.
-        camera: image size and everything else about the camera.
+        camera: image size and everything else about the camera. This and the four that follow are by default what the
+            policy was trained with, if it is from ``rl.load_policy`` (its attribute ``trained_as``).
         task: rewards, ends and time limit.
         robot: its size and limits.
-        sensor: noise, lost returns and latency of the images that the policy sees; none by default.
+        sensor: noise, lost returns and latency of the images that the policy sees; else none by default.
+        frame_interval: steps from one image of the policy's stack to the next; else 1 by default.
         randomization: what each path draws anew of camera, wheels, sensor and start; nothing by default.
-        frame_interval: steps from one image of the policy's stack to the next.
         seed: of all that is drawn.
         num_paths: how many paths to drive. Of one world, the first ones; by default all. Of several, as many in each
             (one more in the first, where that does not come out even), drawn with ``seed`` from those that the world
@@ -418,15 +420,19 @@ def evaluate(
         raise ValueError("an evaluation needs at least one world; got none")
     label = worlds[0].name if len(worlds) == 1 else _label(world, worlds)
     paths = _all_paths(worlds, num_paths, seed)
+    trained_as: TrainConfig | None = getattr(policy, "trained_as", None)
+    if trained_as is not None:
+        camera, task, robot = camera or trained_as.camera, task or trained_as.task, robot or trained_as.robot
+        sensor, frame_interval = sensor or trained_as.sensor, frame_interval or trained_as.frame_interval
     drive = partial(
         _drive_paths,
         policy,
         camera=camera,
         task=task,
-        robot=robot,
+        robot=robot or TURTLEBOT2,
         sensor=sensor,
         randomization=randomization,
-        frame_interval=frame_interval,
+        frame_interval=frame_interval or 1,
         seed=seed,
     )
     results: list[PathResult] = []
@@ -453,7 +459,7 @@ def evaluate_as_trained(
 
     Args:
         policy: see :func:`evaluate`, as all that is not named here.
-        config: the settings that it was trained with.
+        config: the settings that it was trained with, which policies from ``rl.load_policy`` bring with them.
         sensor: in place of its own.
     """
     return evaluate(
@@ -519,7 +525,9 @@ def _drive_paths(
     )
     observation = simulator.reset(paths=local)
     starts, goals, phases = simulator.poses.copy(), simulator.goals.copy(), simulator.phases.copy()
-    memory = Surroundings(len(paths), simulator.camera) if "surroundings" in getattr(policy, "in_keys", ()) else None
+    memory = None
+    if "surroundings" in getattr(policy, "in_keys", ()):
+        memory = Surroundings(len(paths), simulator.camera, lossy=simulator.sensor.loses_returns)
     state = _first_state(observation, simulator, memory, frame_interval)
     driven = np.ones(len(paths), dtype=bool)
     if isinstance(policy, Planner):
@@ -642,7 +650,7 @@ def _first_state(
         batch_size=[count],
     )
     if memory is not None:
-        memory.begin(observation.depth, simulator.poses)
+        memory.begin(observation.depth, simulator.image_poses)
         state["surroundings"] = torch.from_numpy(memory.nearest(simulator.poses))
     return state
 
@@ -671,9 +679,13 @@ def _drive(
     if 0 < len(running) < len(driven):
         simulator, memory, state = _subset(simulator, memory, state, driven)
     greedily = set_exploration_type(ExplorationType.DETERMINISTIC)
+    device = _device_of(policy)
     with torch.no_grad(), greedily, _evaluation_mode(policy), _one_thread():
         while len(running):
-            state = policy(state)
+            if device.type == "cpu":
+                state = policy(state)
+            else:
+                state.update(policy(state.exclude(_HISTORY).to(device)).to("cpu"))
             actions = state["action"].reshape(-1).cpu().numpy()
             moved = simulator.step(actions)
             ended = moved.terminated | moved.truncated
@@ -705,6 +717,8 @@ def _outcome(moved: Transition, robot: int) -> Outcome:
 def _next_state(
     state: TensorDictBase, moved: Transition, simulator: Simulator, memory: Surroundings | None
 ) -> TensorDictBase:
+    if (for_next := state.pop("next", None)) is not None:
+        state.update(for_next)
     images = torch.cat([state[_HISTORY][:, 1:], torch.from_numpy(moved.depth).unsqueeze(1)], dim=1)
     state[_HISTORY], state["depth"] = images, stack_of(images)
     state["heading"] = torch.from_numpy(moved.heading).unsqueeze(-1)
@@ -712,7 +726,7 @@ def _next_state(
     state["pose"] = torch.from_numpy(moved.pose)
     state["is_init"] = torch.zeros_like(state["is_init"])
     if memory is not None:
-        memory.see(moved.depth, simulator.poses)
+        memory.see(moved.depth, simulator.image_poses)
         state["surroundings"] = torch.from_numpy(memory.nearest(simulator.poses))
     return state
 
@@ -757,6 +771,14 @@ def _one_thread() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(threads)
+
+
+def _device_of(policy: object) -> torch.device:
+    """Where a policy's weights are; the CPU if it has none."""
+    if isinstance(policy, torch.nn.Module):
+        for tensor in itertools.chain(policy.parameters(), policy.buffers()):
+            return tensor.device
+    return torch.device("cpu")
 
 
 @contextmanager

@@ -452,4 +452,7 @@ def symmetric_policy(actor: QValueActor) -> QValueActor:
     """
     network = copy.copy(actor.module[0].module)
     network.symmetric = True
-    return QValueActor(network, in_keys=keys_of(network.inputs), spec=Categorical(NUM_ACTIONS)).train(actor.training)
+    policy = QValueActor(network, in_keys=keys_of(network.inputs), spec=Categorical(NUM_ACTIONS)).train(actor.training)
+    if hasattr(actor, "trained_as"):
+        policy.trained_as = actor.trained_as
+    return policy

@@ -62,6 +62,9 @@ def load_policy(
     ``(..., 36)``, which ``NavEnv(..., surroundings=True)`` tells. It writes ``action``, ``action_value`` and
     ``chosen_action_value``. Nothing in the run's files is executed.
 
+    Its attribute ``trained_as`` are the settings that it was trained with, whose camera, task, robot, sensor and frame
+    interval ``rl.evaluate`` takes unless told otherwise.
+
     Args:
         run: the directory that ``navsim train`` wrote, or ``pretrained:NAME`` for a policy that comes with the library.
         weights: of a run: those that did best in its evaluations, or the last.
@@ -84,7 +87,9 @@ def load_policy(
         )
     actor = make_actor(config)
     actor.load_state_dict(found)
-    return _symmetric(policy_of(actor.eval(), config), symmetric)
+    policy = _symmetric(policy_of(actor.eval(), config), symmetric)
+    policy.trained_as = config
+    return policy
 
 
 def _symmetric(policy: QValueActor, wanted: bool | None) -> QValueActor:

@@ -96,4 +96,6 @@ def read_policy(path: Path) -> tuple[QValueActor, TrainConfig]:
         raise RunError(f"{path} holds weights that do not fit its settings: {reason}")
     actor = make_actor(config)
     actor.load_state_dict(weights)
-    return policy_of(actor.eval(), config), config
+    policy = policy_of(actor.eval(), config)
+    policy.trained_as = config
+    return policy, config

@@ -71,7 +71,9 @@ def make_replay(
     Raises:
         ValueError: for a capacity, batch size, number of steps or interval below 1.
 
-    Sampling from another thread than the one that extends (TorchRL's ``prefetch``) is not supported.
+    Sampling from another thread than the one that extends (TorchRL's ``prefetch``) is not supported, and neither are
+    several processes that write to it (``replay_buffer=`` of TorchRL's multi-process collectors): extend it with what
+    they yield.
 
     >>> replay = make_replay(100, height=10, width=14, batch_size=8)
     >>> stack = torch.zeros(2, 5, 4, 10, 14, dtype=torch.uint8)
@@ -233,6 +235,8 @@ class SharedFrames(MultiStepTransform):
             those in between are not known.
     """
 
+    requires_shared_write_state = True  # TorchRL then refuses to have several processes write to it
+
     def __init__(
         self,
         storage: Storage,
@@ -265,7 +269,9 @@ class SharedFrames(MultiStepTransform):
         steps = tensordict.select(*self._keys).to("cpu")
         steps = steps.reshape(-1, steps.shape[-1])
         depth, next_depth = steps.pop("depth"), steps.pop(("next", "depth"))
-        steps = steps.clone()  # collectors may write their next batch into the same memory
+        # A copy, as collectors may write their next batch into the same memory; and no lazy stack, of which a part that
+        # is written to is a copy, too.
+        steps = steps.clone() if isinstance(steps, TensorDict) else steps.to_tensordict()
         done = steps["next", "done"].squeeze(-1).numpy()
         headings = steps["heading"].numpy(), steps["next", "heading"].numpy()
         numbers, next_numbers = self._number(depth.numpy(), next_depth.numpy(), *headings, done)
@@ -311,6 +317,11 @@ class SharedFrames(MultiStepTransform):
         self._mark_cut(self._running & ~continues[:, 0])
         continues[:, 1:] = _same(depth[:, 1:], next_depth[:, :-1], leading=2)
         continues[:, 1:] &= _same(heading[:, 1:], next_heading[:, :-1], leading=2)
+        if n == 1 and t > 1 and not (continues[:, 1:] | done[:, :-1]).any():
+            raise ValueError(
+                f"of {t} steps in a row none goes on where the one before it ended: they look like one step of {t} "
+                "environments; give batches (N, T), this one as extend(step.unsqueeze(-1))"
+            )
         done[:, :-1] |= ~continues[:, 1:]
 
         starts = depth[~continues]

@@ -86,10 +86,11 @@ def _evaluations(run: Run) -> list[Evaluation]:
 def _contents(run: Run, config: TrainConfig, evaluations: Sequence[Evaluation]) -> dict[str, Any]:
     policy, versions = evaluations[0], _versions(run)
     # Of several worlds the first one is drawn.
-    world, drawn = worlds_from(run.with_its_worlds(config).eval_world)[0], policy.by_world()[0]
+    own = run.with_its_worlds(config)
+    world, drawn = worlds_from(own.eval_world)[0], policy.by_world()[0]
     metrics, logged = run.metrics.rows(), run.evaluations.rows()
     low, high = (round(100 * bound) for bound in policy.interval("success"))
-    unseen = not have_rooms_in_common(config.world, [config.eval_world], TRAINING_SEED + config.seed)
+    unseen = not have_rooms_in_common(own.world, [own.eval_world], TRAINING_SEED + config.seed)
     trained_in = ", ".join(map(short_name, config.world))
     several = len(policy.worlds) > 1
     shown = [evaluation for evaluation in evaluations if not evaluation.policy.endswith(LAST_WEIGHTS)]

@@ -34,6 +34,7 @@ class Surroundings:
     Args:
         num_robots: N.
         camera: whose images are remembered.
+        lossy: whether its sensor loses returns, so that a pixel without one is no obstacle.
 
     >>> memory = Surroundings(1, DepthCamera(width=1, height=1))
     >>> pose = np.zeros((1, 3))
@@ -45,8 +46,8 @@ class Surroundings:
     (np.int64(0), 0.5)
     """
 
-    def __init__(self, num_robots: int, camera: DepthCamera) -> None:
-        self._camera = camera
+    def __init__(self, num_robots: int, camera: DepthCamera, *, lossy: bool = False) -> None:
+        self._camera, self._lossy = camera, lossy
         columns = len(range(0, camera.width, _COLUMNS_APART))
         self._points = np.full((num_robots, STEPS, columns, 2), np.inf, dtype=np.float32)
         self._latest = 0
@@ -56,17 +57,27 @@ class Surroundings:
 
         Args:
             depth: ``(N, H, W)`` as the networks get it.
-            poses: ``(N, 3)`` x, y, yaw.
+            poses: ``(N, 3)`` x, y, yaw, where the images were taken.
             mask: ``(N,)`` bool, the robots whose episode begins; all by default.
         """
         begun = slice(None) if mask is None else np.flatnonzero(mask)
         self._points[begun] = np.inf
         self._points[begun, self._latest] = self._places(depth[begun], poses[begun])
 
-    def see(self, depth: np.ndarray, poses: np.ndarray) -> None:
-        """Adds what all robots see after a step, and forgets the oldest image."""
+    def see(self, depth: np.ndarray, poses: np.ndarray, mask: np.ndarray | None = None) -> None:
+        """Adds what robots see after a step, and forgets their oldest image.
+
+        Args:
+            depth: ``(N, H, W)`` as the networks get it.
+            poses: ``(N, 3)`` x, y, yaw, where the images were taken.
+            mask: ``(N,)`` bool, the robots that made a step; all by default. The others' memories stay as they are.
+        """
         self._latest = (self._latest + 1) % STEPS
-        self._points[:, self._latest] = self._places(depth, poses)
+        if mask is None:
+            self._points[:, self._latest] = self._places(depth, poses)
+            return
+        self._points[~mask] = np.roll(self._points[~mask], 1, axis=1)  # as old as they were, counted from the latest
+        self._points[mask, self._latest] = self._places(depth[mask], poses[mask])
 
     def nearest(self, poses: np.ndarray) -> np.ndarray:
         """``(N, SECTORS)`` float32, metres from the robots' centres to what they remember, at most ``REACH``."""
@@ -82,7 +93,7 @@ class Surroundings:
 
     def _places(self, depth: np.ndarray, poses: np.ndarray) -> np.ndarray:
         """``(N, W, 2)`` float32, where the columns of images see something; infinitely far where they do not."""
-        ahead = obstacle_depth(depth, self._camera)
+        ahead = obstacle_depth(depth, self._camera, lossy=self._lossy)
         x, y = np.moveaxis(scan_points(ahead, self._camera)[:, ::_COLUMNS_APART], -1, 0)
         cosine, sine = np.cos(poses[:, 2:3]), np.sin(poses[:, 2:3])
         places = np.stack([poses[:, 0:1] + cosine * x - sine * y, poses[:, 1:2] + sine * x + cosine * y], axis=-1)
@@ -91,7 +102,7 @@ class Surroundings:
 
     def take(self, kept: np.ndarray) -> Surroundings:
         """The memories of those robots alone that ``kept`` ``(N,)`` bool names."""
-        smaller = Surroundings(0, self._camera)
+        smaller = Surroundings(0, self._camera, lossy=self._lossy)
         smaller._points, smaller._latest = self._points[kept], self._latest
         return smaller
 
@@ -101,7 +112,7 @@ class Surroundings:
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Goes on from ``state_dict``."""
-        self._points, self._latest = state_dict["points"].copy(), int(state_dict["latest"])
+        self._points, self._latest = np.array(state_dict["points"], dtype=np.float32), int(state_dict["latest"])
 
 
 def remembered_at_end(images: np.ndarray, poses: np.ndarray, camera: DepthCamera) -> np.ndarray:

@@ -76,11 +76,17 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
         run.check_resumable(config)
     else:
         run.check_vacant()
-    check_feasible(run.with_its_worlds(config) if resume else config)
+    if not (resume and _nothing_is_left_to_train(run)):
+        check_feasible(run.with_its_worlds(config) if resume else config)
     with run.claimed(), subnormals_are_zero():
-        if resume and run.has_ended and not Checkpoints(run.directory / "checkpoints", {}).paths():
-            return run  # of its checkpoints nothing is left, and nothing is wanted
+        if resume and _nothing_is_left_to_train(run):
+            return run
         return _train(config, run, resume, console)
+
+
+def _nothing_is_left_to_train(run: Run) -> bool:
+    """Whether a run has ended, and its checkpoints are not wanted any more."""
+    return run.has_ended and not Checkpoints(run.directory / "checkpoints", {}).paths()
 
 
 def _train(config: TrainConfig, run: Run, resume: bool, console: Console) -> Run:
@@ -102,7 +108,7 @@ def _train(config: TrainConfig, run: Run, resume: bool, console: Console) -> Run
 
     checkpoints = Checkpoints(run.directory / "checkpoints", settings_of(config))
     begun = _checkpoint_to_resume(run, checkpoints, console) if resume else None
-    if have_rooms_in_common(config.world, [config.eval_world], TRAINING_SEED + config.seed):
+    if have_rooms_in_common(seen.world, [seen.eval_world], TRAINING_SEED + config.seed):
         sentence = f"{config.eval_world} is trained in as well: evaluations there do not tell of rooms never seen"
         console.print(sentence, soft_wrap=True)
     skipped = step_of(begun) if begun is not None and config.collector == "async" else 0

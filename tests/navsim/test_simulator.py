@@ -359,8 +359,12 @@ def test_actions_that_do_not_exist_are_refused(actions, message):
 
 @pytest.mark.parametrize("mask", [np.array([True]), np.array([0, 1])])
 def test_masks_that_are_none_are_refused(mask):
+    simulator = Simulator(straight_world(), 2, camera=SMALL)
     with pytest.raises(ValueError, match="reset mask must be bool"):
-        Simulator(straight_world(), 2, camera=SMALL).reset(mask)
+        simulator.reset(mask)
+    simulator.reset()
+    with pytest.raises(ValueError, match="step mask must be bool"):
+        simulator.step(np.ones(2, dtype=np.int64), mask)
 
 
 def test_impossible_settings_are_refused():

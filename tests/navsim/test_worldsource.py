@@ -92,6 +92,8 @@ def test_rooms_to_train_in_and_to_evaluate_in_are_others_unless_seeds_say_so(tmp
     assert have_rooms_in_common(["generate:clutter"], [f"generate:clutter,seed={TRAINING_SEED}"], TRAINING_SEED)
     assert have_rooms_in_common(["complex_train"], ["complex_train"])
     assert not have_rooms_in_common(["complex_train"], ["complex_eval"])
+    elsewhere = load_world("complex_eval").model_copy(update={"goals": "random"})
+    assert have_rooms_in_common([elsewhere], ["complex_eval"])
     (tmp_path / "copy.yaml").write_text(dump_world(load_world("complex_eval")))
     assert have_rooms_in_common([str(tmp_path / "copy.yaml")], ["complex_eval"])
     assert not have_rooms_in_common([str(tmp_path / "copy.yaml")], ["complex_train"])

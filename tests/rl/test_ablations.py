@@ -77,6 +77,15 @@ def test_finished_runs_are_not_repeated_and_the_page_has_every_seed(small, monke
     assert "](results/curves.png)" in page
 
 
+def test_results_of_a_row_that_there_is_no_more_are_left_out(small):
+    run(["base"], [0], **small, console=QUIET)
+    results = json.loads((small["results"] / "base-seed0.json").read_text(encoding="utf-8"))
+    before = small["page"].read_text(encoding="utf-8")
+    (small["results"] / "gone-seed0.json").write_text(json.dumps(results | {"row": "gone"}), encoding="utf-8")
+    run(["base"], [0], **small, console=QUIET)
+    assert small["page"].read_text(encoding="utf-8") == before
+
+
 def test_the_page_tells_what_the_same_weights_do_symmetrically(small):
     run(["base"], [0, 1], **small, console=QUIET)
     files = sorted(small["results"].glob("*.json"))

@@ -13,6 +13,7 @@ from tensordict import TensorDict
 from navsim.camera import DepthCamera
 from navsim.raycast import render_depth
 from navsim.robot import INITIAL_COMMAND, MIRRORED_ACTIONS, apply_actions
+from navsim.sensor import SensorModel
 from navsim.task import Task
 from navsim.world import World
 from rl.baselines import BASELINES, make_baseline
@@ -139,6 +140,14 @@ def test_reactive_takes_images_of_any_size_unless_it_is_told_the_camera():
     torch.testing.assert_close(unasked(state.clone())["action"], told(state.clone())["action"])
     with pytest.raises(ValueError, match="images of 80x64 pixels; it got 160x128"):
         make_baseline("reactive", CAMERA)(state)
+
+
+def test_reactive_is_not_frightened_by_returns_that_its_sensor_loses():
+    lost = SensorModel(grazing_loss=1.0)
+    frightened, told = make_baseline("reactive", CAMERA), make_baseline("reactive", CAMERA, lost)
+    frightened, told = (evaluate(policy, BLOCKED, sensor=lost, num_paths=4) for policy in (frightened, told))
+    assert told.success_rate == 1.0
+    assert frightened.success_rate < 1.0
 
 
 def test_memory_begins_anew_where_an_episode_does():

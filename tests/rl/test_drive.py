@@ -129,6 +129,20 @@ def test_it_drives_by_the_weights_and_the_symmetry_that_are_asked_for(run, filme
     assert not np.allclose(filmed["q_values"][0], asked[0])
 
 
+def test_a_policy_of_ones_own_is_filmed(filmed, tmp_path):
+    class Slow(torch.nn.Module):
+        def forward(self, state):
+            assert not self.training
+            return state.set("action", torch.zeros(state.batch_size, dtype=torch.int64))
+
+    policy = Slow().eval()
+    result = drive(policy, "simple_eval", tmp_path / "a.mp4")
+    assert not policy.training
+    assert set(result.actions.tolist()) == {0}
+    assert filmed["images"].shape == (result.steps, 64, 80)
+    assert "q_values" not in filmed
+
+
 class Values:
     """A policy that keeps its values."""
 

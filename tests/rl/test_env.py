@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import pickle
+import io
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from torchrl.collectors import Collector
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import check_env_specs
 
@@ -17,7 +18,7 @@ from navsim.randomization import Randomization
 from navsim.robot import INITIAL_COMMAND
 from navsim.sensor import KINECT
 from navsim.simulator import Simulator
-from navsim.task import Task
+from navsim.task import Path, Task
 from rl.env import NavEnv
 from rl.observation import NUM_FRAMES
 
@@ -29,6 +30,12 @@ def act(env: NavEnv, state, actions):
     """One step with these actions; the state after it."""
     state["action"] = torch.as_tensor(actions)
     return env.step(state)
+
+
+def through_a_file(state):
+    file = io.BytesIO()
+    torch.save(state, file)
+    return torch.load(io.BytesIO(file.getvalue()))  # which executes nothing
 
 
 @pytest.mark.parametrize(("world", "num_envs"), [("complex_train", 1), ("complex_train", 5), ("crowded", 3)])
@@ -52,7 +59,7 @@ def test_a_noisy_randomised_environment_keeps_its_specs_and_resumes():
     original, resumed = (NavEnv("complex_train", 3, seed=seed, **settings) for seed in (1, 2))
     state = original.rollout(5, break_when_any_done=False)[:, -1]["next"]
     resumed.reset()
-    resumed.load_state_dict(pickle.loads(pickle.dumps(original.state_dict())))
+    resumed.load_state_dict(through_a_file(original.state_dict()))
     for actions in ([1, 2, 3], [4, 4, 4]):
         one, other = act(original, state.clone(), actions)["next"], act(resumed, state.clone(), actions)["next"]
         torch.testing.assert_close(one["depth"], other["depth"], rtol=0, atol=0)
@@ -175,7 +182,7 @@ def test_it_goes_on_from_its_state_bit_for_bit():
     state = env.rollout(30, break_when_any_done=False)[:, -1]["next"].exclude("reward")
     state["_reset"] = state["done"].clone()
     state = env.reset(state)
-    kept = pickle.loads(pickle.dumps(env.state_dict()))
+    kept = through_a_file(env.state_dict())
     expected = drive(env, state.clone(), 30)
     fresh = NavEnv("complex_train", 4, camera=CAMERA, surroundings=True, seed=99)
     fresh.reset()
@@ -207,3 +214,78 @@ def test_new_episodes_begin_as_torchrl_begins_them():
         assert set(before.keys(True, True)) == set(expected.keys(True, True))
         assert (before == expected).all()
     assert resets >= 15
+
+
+LINES = World.from_dict(
+    {
+        "format": 1,
+        "size": [8, 4],
+        "starts": [{"at": [-3, 0], "yaw_deg": 0}, {"at": [1, 0], "yaw_deg": 0}, {"at": [-1, 0.1], "yaw_deg": 0}],
+        "goals": [[3, 0]],
+    }
+)
+
+
+def test_a_rollout_until_all_have_arrived_drives_each_robot_as_it_would_drive_alone():
+    def fast(tensordict):
+        return tensordict.set("action", torch.ones(tensordict.shape, dtype=torch.int64))
+
+    def rollout(*starts):
+        env = NavEnv(LINES, len(starts), camera=CAMERA, surroundings=True, seed=0)
+        state = env.reset(paths=[Path(start, 0) for start in starts])
+        return env.rollout(
+            200, fast, tensordict=state, auto_reset=False, break_when_all_done=True, break_when_any_done=False
+        )
+
+    together = rollout(0, 1, 2)
+    lengths = []
+    for robot in range(3):
+        alone = rollout(robot)[0]
+        lengths.append(len(alone))
+        assert alone["next", "success"][-1].item()
+        for key in ("depth", "heading", "pose", "surroundings", ("next", "reward"), ("next", "done")):
+            assert (together[robot, : len(alone)][key] == alone[key]).all(), key
+        assert together[robot]["next", "done"][len(alone) - 1 :].all()
+    assert len(set(lengths)) == 3
+    assert together.shape == (3, max(lengths))
+
+
+def test_for_robots_that_a_step_leaves_out_no_time_passes():
+    settings = {"camera": CAMERA, "surroundings": True, "sensor": replace(KINECT, latency=1), "seed": 3}
+    randomization = Randomization(camera_pitch_deg=(0.0, 3.0), latency=(0, 2))
+    env, other = (NavEnv("crowded", 3, randomization=randomization, **settings) for _ in range(2))
+    state, expected = env.reset(), other.reset()
+    slow = torch.zeros(3, dtype=torch.int64)
+    for skips in (0, 2, 0, 1, 0):
+        for _ in range(skips):
+            before = state.clone()
+            state["_step"] = torch.tensor([[True], [False], [True]])
+            after = act(env, state, slow)["next"]
+            for key in ("depth", "heading", "pose", "command", "surroundings", "done", "collision"):
+                assert (after[key][1] == before[key][1]).all(), key
+            assert after["reward"][1] == 0.0
+            assert not (after["pose"][0] == before["pose"][0]).all()
+            state = after
+        state, expected = (act(one, seen, slow)["next"] for one, seen in ((env, state), (other, expected)))
+        for key in ("depth", "heading", "pose", "command", "surroundings", "reward", "done"):
+            assert (state[key][1] == expected[key][1]).all(), key
+
+
+def test_episodes_are_those_that_reset_is_given():
+    env = NavEnv(LINES, 2, camera=CAMERA, seed=0)
+    state = env.reset(paths=[Path(1, 0), Path(2, 0)])
+    torch.testing.assert_close(state["pose"][:, :2], torch.tensor([[1.0, 0.0], [-1.0, 0.1]]))
+    assert (state["depth"][:, 0] == state["depth"][:, 3]).all()
+    with pytest.raises(TypeError, match="path_s"):
+        env.reset(path_s=[])
+
+
+def test_torchrls_own_collector_goes_on_from_its_checkpoint():
+    def collector():
+        return Collector(NavEnv(LINES, 2, camera=CAMERA, seed=0), None, frames_per_batch=20, total_frames=80)
+
+    first = collector()
+    next(iter(first))
+    second = collector()
+    second.load_state_dict(first.state_dict(), strict=False)  # random actions have no weights
+    assert sum(batch.numel() for batch in second) == 60

@@ -12,18 +12,24 @@ import pytest
 import torch
 from rich.console import Console
 from scipy.stats import binomtest
+from tensordict import TensorDict
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torchrl.data import Categorical
-from torchrl.modules import EGreedyModule
+from torchrl.modules import EGreedyModule, LSTMModule
 
 from navsim.camera import DepthCamera
 from navsim.randomization import Randomization
-from navsim.sensor import KINECT
+from navsim.sensor import KINECT, SensorModel
 from navsim.simulator import Simulator
 from navsim.task import Path, Task
 from navsim.world import World
 from navsim.worldfile import load_world
+from rl.config import TrainConfig
 from rl.evaluation import Evaluation, PathResult, comparison_table, evaluate, wilson_interval
+from rl.learner import make_actor
+from rl.networks import symmetric_policy
+from rl.policies import load_policy
+from rl.run import Run
 
 CAMERA = DepthCamera(width=20, height=16)
 TASK = Task(max_steps=60)
@@ -233,6 +239,54 @@ def test_memory_stays_with_its_robot_when_others_have_finished():
     for step, (offsets, ages) in enumerate(batches):
         assert offsets.abs().max() < 1e-5
         assert (ages == step + 1).all()
+
+
+def test_torchrls_recurrent_modules_remember():
+    torch.manual_seed(0)
+    memory = LSTMModule(input_size=1, hidden_size=4, in_key="heading", out_key="features")
+    seen, told = [], []
+
+    def remember(state):
+        seen.append(state["heading"][-1].clone())
+        state = memory(state)
+        told.append(state["features"][-1].clone())
+        return circling(state)
+
+    drive(remember)
+    assert len(seen) > 10
+    with torch.no_grad():
+        expected, _ = memory.lstm(torch.stack(seen).unsqueeze(0))  # the whole drive at once
+    torch.testing.assert_close(torch.stack(told), expected[0])
+
+
+def test_a_policy_is_told_what_it_sees_where_its_weights_are():
+    class Elsewhere(torch.nn.Module):
+        """Its weights are on the only device but the CPU that every machine has, where nothing can be computed."""
+
+        def __init__(self):
+            super().__init__()
+            self.weight = torch.nn.Parameter(torch.zeros(1, device="meta"))
+
+        def forward(self, state):
+            assert {value.device.type for value in state.values()} == {"meta"}
+            return TensorDict({"action": torch.ones(state.batch_size, dtype=torch.int64)}, state.batch_size)
+
+    assert drive(Elsewhere()).to_dict()["paths"] == drive(ahead).to_dict()["paths"]
+
+
+def test_a_policy_that_was_trained_is_evaluated_as_it_was_trained(tmp_path):
+    noisy = replace(KINECT, latency=2)
+    settings = {"camera": CAMERA, "task": TASK, "sensor": noisy, "frame_interval": 3, "loss_function": "l2"}
+    config = TrainConfig(**settings, preset="thesis", inputs=("depth", "heading"), out=tmp_path / "run")
+    run = Run.create(config)
+    torch.manual_seed(0)
+    run.save_policy("policy", make_actor(config).state_dict())
+    policy = load_policy(run.directory)
+    assert policy.trained_as == config
+    as_trained = drive(policy, sensor=noisy, frame_interval=3)
+    assert evaluate(policy, ROOM).to_json() == as_trained.to_json()
+    assert evaluate(policy, ROOM, sensor=SensorModel()).to_json() != as_trained.to_json()
+    assert symmetric_policy(policy).trained_as == config
 
 
 def test_start_yaws_depend_on_the_seed_and_not_on_the_policy():

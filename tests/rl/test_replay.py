@@ -11,7 +11,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
-from tensordict import TensorDict
+from tensordict import TensorDict, lazy_stack
 from torchrl.envs.transforms import MultiStepTransform
 
 from navsim.robot import MIRRORED_ACTIONS
@@ -273,6 +273,19 @@ def test_a_stream_that_is_joined_in_the_middle_is_stored_exactly():
     torch.testing.assert_close(replay[:]["depth"], batch["depth"][:, :4].transpose(0, 1).flatten(0, 1))
 
 
+def test_a_stream_that_breaks_between_lazily_stacked_batches_is_cut():
+    """What TorchRL's ``Collector`` extends a replay with that it is given."""
+    world, naive = Environments(2, end_probability=0.0), NaiveReplay(100, 3)
+    replay = make_replay(100, HEIGHT, WIDTH, batch_size=5, n_step=3, gamma=GAMMA)
+    for _ in range(2):
+        batch = world.rollout(6)
+        replay.extend(lazy_stack(list(batch.unbind(1)), 1))
+        naive.extend(batch)
+        world.reset()
+    assert replay[:]["steps_to_next_obs"].min() == 1
+    assert_same_content(replay[:], naive.read())
+
+
 def test_torchrl_alone_bootstraps_from_terminal_steps_and_the_replay_does_not():
     """The reason for ``done_keys=[]``: a return that ends in a terminal step must not be bootstrapped."""
     done = torch.tensor([[[False], [False], [True], [False], [False], [False], [False]]])
@@ -464,6 +477,10 @@ def test_data_that_cannot_be_stored_is_refused():
         replay.extend(Environments(3).rollout(3))
     with pytest.raises(ValueError, match="moved on by one step"):
         replay.extend(Environments(2).rollout(3).set("depth", torch.zeros(2, 3, 4, HEIGHT, WIDTH, dtype=torch.uint8)))
+    with pytest.raises(ValueError, match=r"look like one step of 4 environments; .*extend\(step.unsqueeze\(-1\)\)"):
+        make_replay(10, HEIGHT, WIDTH, batch_size=2).extend(Environments(4, end_probability=0.0).rollout(1)[:, 0])
+    with pytest.raises(RuntimeError, match="SharedFrames keeps replay-buffer write state"):
+        make_replay(10, HEIGHT, WIDTH, batch_size=2).share()
     apart = make_replay(10, HEIGHT, WIDTH, batch_size=2, frame_interval=2)
     with pytest.raises(ValueError, match=r"moved on by one step.*with 2 steps from one image to the next"):
         apart.extend(Environments(2, end_probability=0.0).rollout(5))

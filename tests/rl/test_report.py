@@ -198,6 +198,16 @@ def test_captions_tell_of_stricter_rules_and_of_images_that_the_robot_did_not_se
     assert {words: text.count(words) for words in told} == told
 
 
+def test_a_room_that_was_trained_in_is_known_by_the_runs_copy_of_it(run, tmp_path):
+    source = tmp_path / "hall.yaml"
+    save_world(WORLD, source)
+    other = Run.create(replace(run.config, world=(str(source),), eval_world=str(source), out=tmp_path / "run"))
+    other.save_policy("policy", make_actor(other.config).state_dict())
+    shutil.copytree(run.directory / "evaluation", other.directory / "evaluation")
+    source.unlink()
+    assert "never seen" not in write_report(other).read_text(encoding="utf-8")
+
+
 def test_a_run_without_versions_says_so(run, tmp_path):
 
     copy = tmp_path / "copy"

@@ -15,6 +15,7 @@ from navsim.camera import DepthCamera
 from navsim.raycast import render_depth
 from navsim.robot import MIRRORED_ACTIONS
 from navsim.scan import obstacle_depth
+from navsim.sensor import SensorModel
 from navsim.simulator import Simulator
 from navsim.world import World
 from rl.env import NavEnv
@@ -189,6 +190,47 @@ def test_what_is_free_is_not_remembered():
     assert memory.nearest(pose).min() < 1.0
     memory.begin(np.full_like(near, 1.5), pose)
     assert memory.nearest(pose).min() == REACH
+
+
+def test_pixels_whose_return_was_lost_are_no_obstacles():
+    """With a sensor that loses returns, nothing is remembered where an ideal one remembers nothing, and little else
+    than it does."""
+    sensor = SensorModel(grazing_loss=1.0, edge_loss=0.5)
+    ideal, lossy = (NavEnv("complex_train", 4, surroundings=True, sensor=each, seed=2) for each in (None, sensor))
+    expected, told = ideal.reset(), lossy.reset()
+    remembered = []
+    for _ in range(12):
+        action = torch.full((4,), 3)
+        expected = ideal.step(expected.set("action", action))["next"]
+        told = lossy.step(told.set("action", action))["next"]
+        assert (told["pose"] == expected["pose"]).all()
+        assert (told["surroundings"] > expected["surroundings"] - 0.15).all()
+        remembered.append((told["surroundings"] < REACH).sum() / (expected["surroundings"] < REACH).sum())
+    assert min(remembered) > 0.7
+
+
+def test_late_images_are_remembered_where_they_were_taken():
+    late = NavEnv("complex_train", 4, camera=CAMERA, surroundings=True, sensor=SensorModel(latency=2), seed=2)
+    state = late.reset()
+    poses = [late.simulator.poses.copy()]
+    for action in [1, 2, 3, 3, 2, 5, 5, 0]:
+        state = late.step(state.set("action", torch.full((4,), action)))["next"]
+        poses.append(late.simulator.poses.copy())
+    shown = [poses[max(step - 2, 0)] for step in range(len(poses))]
+    for robot in range(4):
+        taken = np.array([pose[robot] for pose in shown])
+        world = late.simulator.worlds[late.simulator.world_index[robot]]
+        images = CAMERA.to_uint8(CAMERA.from_planar(render_depth(world, taken, CAMERA)))
+        memory = Surroundings(1, CAMERA)
+        memory.begin(images[:1], taken[:1])
+        for step in range(1, len(taken)):
+            memory.see(images[step : step + 1], taken[step : step + 1])
+        told = memory.nearest(poses[-1][robot : robot + 1])[0]
+        np.testing.assert_allclose(state["surroundings"][robot], told, atol=1e-5)
+    again = NavEnv("complex_train", 4, camera=CAMERA, surroundings=True, sensor=SensorModel(latency=2), seed=9)
+    again.reset()
+    again.load_state_dict(late.state_dict())
+    np.testing.assert_array_equal(again.simulator.image_poses, shown[-1])
 
 
 def test_only_the_robots_that_begin_anew_forget_in_an_environment():
