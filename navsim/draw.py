@@ -214,6 +214,7 @@ def _draw_names(axes: Axes, world: World) -> None:
             color=INK,
             zorder=6,
             annotation_clip=False,
+            parse_math=False,
         )
         text.set_path_effects([patheffects.withStroke(linewidth=2.0, foreground="white")])
 

@@ -41,5 +41,5 @@ def save_overview(
         axes = figure.add_subplot(rows, columns, number + 1)
         draw_world(axes, world, colour_bar=False, legend=False)
         axes.set_axis_off()
-        axes.set_title(caption, fontsize=9)
+        axes.set_title(caption, fontsize=9, parse_math=False)
     return save_figure(figure, path)

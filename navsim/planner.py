@@ -188,6 +188,7 @@ class FreeSpace:
         """The prisms in the robot's way, without the walls and without what moves by itself."""
         margin = OPEN_FLOOR_MARGIN if world.walls is None else -robot_radius
         self.robot_radius = robot_radius
+        self._has_walls = world.walls is not None
         self.half_extents = world.half_size + margin
         """``(2,)``: the robot's centre stays within these of the origin along x and y, metres."""
         self.obstacles = Footprints.of(self.blocking)
@@ -203,7 +204,10 @@ class FreeSpace:
 
     def fits_with_room(self, points: np.ndarray, room: float) -> np.ndarray:
         """Whether, at ``points`` ``(K, 2)``, it fits and could move by ``room``, metres, any way: ``(K,)`` bool."""
-        return self.obstacles.points_keep_clear(points, self._clear + room)
+        clear = self.obstacles.points_keep_clear(points, self._clear + room)
+        if self._has_walls:
+            clear &= (np.abs(points) <= self.half_extents - room + CONTACT).all(axis=1)
+        return clear
 
     def passes(self, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
         """Whether it may move straight from ``starts`` to ``ends``, ``(K, 2)``, both within the extents: ``(K,)``."""

@@ -96,8 +96,14 @@ class Scope:
     _known: dict[str, np.ndarray] = field(default_factory=dict)
 
     def declare(self, element: Element, default: str = _OWN) -> None:
-        """A link, joint or frame."""
-        self.frames[element.name] = _Frame(element.first("pose"), default, element)
+        """A link, joint or frame.
+
+        Before version 1.7 they might share a name. As in libsdformat, joint or frame then get another one.
+        """
+        name = element.name
+        while name in self.frames:
+            name += f"_{element.tag}"
+        self.frames[name] = _Frame(element.first("pose"), default, element)
 
     def free_label(self, name: str) -> str:
         """``name``, or for one that a nested model has already, one that none has."""

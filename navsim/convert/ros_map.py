@@ -151,13 +151,16 @@ def _cells(settings: Node, picture: tuple[np.ndarray, np.ndarray | None]) -> tup
         known = value <= 1.0
         occupied = known & (value >= occupied_from)
     else:
+        if opacity is not None and kind == "trinary":  # map_server averages alpha in, as if it were a colour
+            brightness = 0.75 * brightness + 0.25 * opacity
         dark = brightness if negate is not None and negate.truth() else 255.0 - brightness
         occupancy = dark / 255.0
         occupied = occupancy > occupied_from
-        known = occupied | (occupancy < free_to)
-        if opacity is not None and kind == "scale":
-            occupied &= opacity >= 255.0
-            known &= opacity >= 255.0
+        if kind == "trinary":
+            known = occupied | (occupancy < free_to)
+        else:  # what lies between the thresholds is more or less likely occupied, and passable
+            known = np.ones(occupied.shape, dtype=bool) if opacity is None else opacity >= 255.0
+            occupied &= known
     return occupied[::-1], known[::-1]
 
 

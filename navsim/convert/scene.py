@@ -170,7 +170,7 @@ def world_of(scene: Scene, room: Room | None = None) -> tuple[World, list[str]]:
     room = room or Room()
     data, notes = data_of(scene, room)
     world, problems = parse_world(data)
-    if world is None and all(_can_be_spared(problem, room) for problem in problems):
+    if world is None and all(_can_be_spared(problem, room, data) for problem in problems):
         notes += [f"left out, because a world file cannot have it so: {problem}" for problem in problems]
         world, problems = parse_world(_without(data, problems))
     if world is None:
@@ -183,12 +183,15 @@ def world_of(scene: Scene, room: Room | None = None) -> tuple[World, list[str]]:
     return world, notes
 
 
-def _can_be_spared(problem: Problem, room: Room) -> bool:
-    """Whether a problem is with a motion, or with a place that nobody has asked for: the file's own robots' it is."""
+def _can_be_spared(problem: Problem, room: Room, data: dict[str, Any]) -> bool:
+    """Whether a problem is with something that moves or can be pushed, which may stand still instead, or with a place
+    that nobody has asked for: the file's own robots' it is."""
     what, *more = problem.where or ("",)
     if what in ("starts", "goals"):
         return bool(more) and not getattr(room, what)
-    return what == "obstacles" and len(more) > 2 and more[2] in _OPTIONAL
+    if what != "obstacles" or not more:
+        return False
+    return any(key in settings for settings in data["obstacles"][more[0]].values() for key in _OPTIONAL)
 
 
 def _without(data: dict[str, Any], problems: list[Problem]) -> dict[str, Any]:

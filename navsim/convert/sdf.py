@@ -27,7 +27,7 @@ from navsim.convert.upright import Standing, box_around, prism_around, upright_b
 from navsim.convert.xmlfile import MOST_ELEMENTS, Element, XmlWriter, number, numbers, read_xml
 from navsim.files import write_text
 from navsim.polygon import Vertex
-from navsim.world import Box, Cylinder, Obstacle, World
+from navsim.world import Box, Cylinder, Obstacle, Walls, World
 
 VERSIONS = (4, 12)
 """Minor versions of SDFormat 1 that are read, first and last."""
@@ -49,6 +49,7 @@ HEAVIEST = 5.0
 Approximation = Literal["nothing", "bounding-box", "convex-hull"]
 
 _NAMESPACE = "urn:navsim:world"
+_WALLS = "walls"  # the model that the walls of a room become
 _HARMLESS = {"ground plane", "ground_plane", "sun"}
 
 
@@ -143,6 +144,9 @@ class _Reader:
     def _read_world(self, world: Element, scope: Scope) -> None:
         for frame in world.all("frame"):
             scope.declare(frame, frame.attributes.get("attached_to") or "world")
+        hint = world.first("navsim:room")
+        if hint is not None:
+            self._read_room(hint)
         self._children(world, scope, np.eye(4), (Path(world.file),), "", False)
         for frame in world.all("frame"):
             which = re.fullmatch(r"(start|goal)(_\d+)?", frame.name)
@@ -152,18 +156,24 @@ class _Reader:
                 drawn = which[1] == "goal" or frame.attributes.get("navsim:yaw") == "drawn"
                 place = Place(pose[0, 3], pose[1, 3], None if drawn else yaw)
                 (self.scene.starts if which[1] == "start" else self.scene.goals).append(place)
-        hint = world.first("navsim:room")
-        if hint is not None:
-            width, depth = hint.numbers_in(hint.attributes.get("size", ""), 2, "size of <navsim:room>")
-            if min(width, depth) <= 0.0:
-                raise hint.error("size of <navsim:room> must be two lengths greater than 0")
-            self.scene.low, self.scene.high = (-0.5 * width, -0.5 * depth), (0.5 * width, 0.5 * depth)
-            if hint.attributes.get("walls") == "none":
-                self.scene.walls = "none"
         for tag, reason in _NOT_READ.items():
             found = [element.name for element in world.all(tag)]
             if found:
                 self._notes.append(f"<{tag}> {', '.join(sorted(set(found))[:5])} is left out: {reason}")
+
+    def _read_room(self, hint: Element) -> None:
+        width, depth = hint.numbers_in(hint.attributes.get("size", ""), 2, "size of <navsim:room>")
+        if min(width, depth) <= 0.0:
+            raise hint.error("size of <navsim:room> must be two lengths greater than 0")
+        self.scene.low, self.scene.high = (-0.5 * width, -0.5 * depth), (0.5 * width, 0.5 * depth)
+        walls = hint.attributes.get("walls")
+        if walls == "none":
+            self.scene.walls = "none"
+        elif walls is not None:
+            height, thickness = hint.numbers_in(walls, 2, "walls of <navsim:room>")
+            if min(height, thickness) <= 0.0:
+                raise hint.error("walls of <navsim:room> must be none, or height and thickness, both greater than 0")
+            self.scene.walls = Walls(height=height, thickness=thickness)
 
     def _children(
         self, parent: Element, scope: Scope, pose: np.ndarray, files: tuple[Path, ...], prefix: str, static: bool
@@ -172,6 +182,8 @@ class _Reader:
         nested: list[_Declared | None] = []
         for child in parent.all("model", "include"):
             if child.tag == "model":
+                if parent.tag == "world" and child.name == _WALLS and isinstance(self.scene.walls, Walls):
+                    continue
                 nested.append(self._declare(child, child, scope, files, prefix, static))
             else:
                 nested.append(self._included(child, scope, files, prefix, static))
@@ -468,9 +480,8 @@ def sdf_text(world: World) -> tuple[str, list[str]]:
     xml, notes = XmlWriter(), moving_notes(world)
     xml.open("sdf", **{"version": WRITTEN, "xmlns:navsim": _NAMESPACE})
     xml.open("world", name=world.name.replace("::", ":"))
-    xml.leaf(
-        "navsim:room", size=numbers(*world.size), **({"walls": "none"} if world.walls is None else {})
-    )  # fmt: skip
+    walls = "none" if world.walls is None else numbers(world.walls.height, world.walls.thickness)
+    xml.leaf("navsim:room", size=numbers(*world.size), walls=walls)
     xml.open("light", type="directional", name="sun")
     xml.leaf("pose", "0 0 10 0 0 0")
     xml.leaf("cast_shadows", "true")
@@ -479,7 +490,7 @@ def sdf_text(world: World) -> tuple[str, list[str]]:
     xml.leaf("direction", "-0.5 0.2 -0.9")
     xml.close()
     _ground(xml, world)
-    taken = {"ground_plane", "sun", "walls", "world"}
+    taken = {"ground_plane", "sun", _WALLS, "world"}
     for key, places in (("start", world.starts), ("goal", world.goals)):
         for i, place in enumerate(() if isinstance(places, str) else places, start=1):
             taken.add(f"{key}_{i}")
@@ -544,7 +555,7 @@ def _material(xml: XmlWriter, grey: float) -> None:
 
 
 def _write_walls(xml: XmlWriter, world: World) -> None:
-    xml.open("model", name="walls")
+    xml.open("model", name=_WALLS)
     xml.leaf("static", "true")
     xml.open("link", name="link")
     for prism in world.prisms[:4]:

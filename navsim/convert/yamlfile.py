@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from typing import Any
 
 import yaml
@@ -20,6 +21,9 @@ LONGEST_TEXT = 1_000
 """Characters of a key or a value."""
 LONGEST_NUMBER = 400
 """Characters: numbers to the base 60, as YAML 1.1 has them, take time by the square of their length."""
+
+_EXPONENT = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]{1,3}")
+"""Numbers that YAML 1.1 takes for text, for want of a dot or a sign; yaml-cpp, which ROS reads maps with, does not."""
 
 _CORE = "tag:yaml.org,2002:"
 _TAGS = {_CORE + kind for kind in ("map", "seq", "str", "int", "float", "bool", "null", "timestamp", "merge")}
@@ -58,6 +62,8 @@ class Node:
     def number(self) -> float:
         """Its value as a finite number."""
         value = self.value
+        if isinstance(value, str) and _EXPONENT.fullmatch(value):
+            value = float(value)
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise self.error(f"must be a number, not {_shown(value)}")
         if not abs(value) <= 1e9:

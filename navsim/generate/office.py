@@ -63,7 +63,7 @@ class _Plan:
             return
         low, high = room[axis] + SMALLEST_ROOM + _THICKNESS / 2, room[axis + 2] - SMALLEST_ROOM - _THICKNESS / 2
         for _ in range(20):
-            place = float(self._generator.uniform(low, high))
+            place = float(self._generator.uniform(low, max(low, high)))  # rounding may have them cross
             if self._meets_no_door(room, axis, place):
                 break
         else:

@@ -54,7 +54,10 @@ def layout(generator: np.random.Generator, size: tuple[float, float], density: f
         aisles[at_wall] = SLACK
     usable = length - aisles.sum()
     most = math.floor(usable / _BAY[0])
-    bays = int(generator.integers(max(1, math.ceil(usable / _BAY[1])), most + 1))
+    if most < 1:
+        return Shortfall([])
+    # Some lengths are no whole number of bays; with fewer of the longest, aisles are wider.
+    bays = int(generator.integers(min(max(1, math.ceil(usable / _BAY[1])), most), most + 1))
     bay = min(usable / bays, _BAY[1])
     rows = _rows(generator, breadth, bays * bay, rack_area)
     if rows is None:

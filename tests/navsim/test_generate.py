@@ -335,6 +335,25 @@ def test_any_settings_make_a_proper_room_or_a_sentence(kind, size, density, seed
 
 
 @pytest.mark.parametrize(
+    ("kind", "sizes"),
+    [
+        ("warehouse", [(4.0, 4.0), (4.5, 4.5), (4.9, 4.2), (5.4, 4.0), (5.8, 5.2), (6.1, 4.8)]),
+        ("office", [(5.3, 4.0), (4.0, 5.3), (5.3, 5.3)]),
+    ],
+)
+def test_the_smallest_rooms_are_made_or_refused_in_a_sentence(kind, sizes):
+    """Where what is drawn has hardly a choice, or none."""
+    refused = []
+    for size, seed in itertools.product(sizes, range(4)):
+        try:
+            assert generate_world(kind, size, seed=seed).size == size
+        except ValueError as error:
+            refused.append(str(error))
+    assert all(kind in sentence for sentence in refused)
+    assert len(refused) < 3 * len(sizes)
+
+
+@pytest.mark.parametrize(
     ("arguments", "message"),
     [
         ({"kind": "cluter"}, '"cluter" is not a kind of room; did you mean "clutter"?'),

@@ -122,6 +122,12 @@ def test_a_random_start_is_found_in_the_last_free_corner():
     assert problems_of(box((-0.25, 0), (3.5, 4.0))) == []
 
 
+def test_a_random_start_is_clear_of_walls_too():
+    assert problems_of(box((-0.2, 0), (3.6, 4.0))) != []  # a lane of 0.4 m
+    assert problems_of(size=[7.0, 0.42]) != []
+    assert problems_of(size=[7.0, 0.42], walls="none") == []
+
+
 @pytest.mark.parametrize(("listed", "wanted"), [("goals", "start"), ("starts", "goal")])
 def test_listed_places_need_something_at_random_to_go_with(listed, wanted):
     assert problems_of(*ring(1.0), **{listed: [[0, 0], [1.5, 0]]}) == []

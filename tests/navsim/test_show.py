@@ -112,6 +112,16 @@ def test_a_place_is_three_finite_numbers(text):
         show.parse_pose(text)
 
 
+def test_names_are_no_formulas():
+    """Which two dollar signs begin and end, for matplotlib."""
+    (post,) = [obstacle for obstacle in WORLD.obstacles if obstacle.name == "post"]
+    world = WORLD.replace(name="5$ room, 7$", obstacles=[post.replace(name="$x_$")])
+    figure = show._plan_view(world, True, None)
+    figure.canvas.draw()
+    assert "$x_$" in {text.get_text() for text in figure.axes[0].texts}
+    assert show.plan_png(world).startswith(b"\x89PNG")
+
+
 def test_a_place_is_given_in_metres_and_degrees():
     assert show.parse_pose("-1, 2.5 ,-90") == (-1.0, 2.5, -math.pi / 2)
 

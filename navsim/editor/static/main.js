@@ -74,7 +74,7 @@ function show() {
     bad: state.errors.flatMap(offenders), odd: state.problems.filter(({ severity }) => severity === "warning").flatMap(offenders),
     frozen: state.frozen, showPaths: $("show-paths").checked, showNames: $("show-names").checked,
   });
-  if (!gesture) panel.show(state);
+  if (!gesture?.edits) panel.show(state);
   text.mark(state.problems, state.frozen ? [] : state.selection.map(({ list, index }) => state.scene?.[list]?.[index]?.span).filter(Boolean));
   showProblems();
   showSummary();
@@ -138,7 +138,7 @@ const refresh = api.latest(async () => {
   const asked = state.text;
   try {
     const answer = await api.read(asked);
-    if (asked === state.text && !gesture) { take(answer); show(); }
+    if (asked === state.text && !gesture?.edits) { take(answer); show(); }
   } catch (error) { failed(error); }
 });
 
@@ -161,7 +161,7 @@ function findPaths() {
       state.pairs = answer.pairs;
       show();
       const { problems } = await api.oddities(world);
-      if (world !== state.world || gesture) return;
+      if (world !== state.world || gesture?.edits) return;
       state.odd = problems;
       show();
     } catch (error) { if (error.status !== 410) failed(error); }
@@ -316,6 +316,7 @@ function editing(edits) {
     }
   });
   const own = {
+    edits: true,
     move(point, event) {
       now = edits(point, event);
       state.scene = drawn(now);
@@ -325,7 +326,7 @@ function editing(edits) {
     end() {
       ended = true;
       gesture = null;
-      if (!now) return;
+      if (!now) { refresh(); findPaths(); return; } // what was answered meanwhile has been left out
       work = work.then(async () => {
         try {
           const answer = await api.edit(before.text, now);
@@ -603,6 +604,7 @@ function asked(message) {
 }
 
 function reload(disk) {
+  gesture?.cancel?.(); // it would put back the text that it began with
   Object.assign(state, { saved: disk.text, stamp: disk.stamp });
   setText(disk.text, { selection: [] });
   refresh();

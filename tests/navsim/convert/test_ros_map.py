@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import imageio.v3 as imageio
 import numpy as np
 import pytest
 import shapely
@@ -77,7 +78,7 @@ def test_the_map_turns_about_its_origin(tmp_path):
         ({}, 0, "occupied"), ({}, 89, "occupied"), ({}, 90, "unknown"), ({}, 205, "unknown"), ({}, 206, "free"),
         ({"negate": 1}, 255, "occupied"), ({"negate": "true"}, 20, "free"), ({"negate": 1}, 100, "unknown"),
         ({"free_thresh": 0.25}, 205, "free"), ({"occupied_thresh": 0.5}, 127, "occupied"),
-        ({"mode": "scale"}, 0, "occupied"), ({"mode": "scale"}, 150, "unknown"),
+        ({"mode": "scale"}, 0, "occupied"), ({"mode": "scale"}, 150, "free"),
         ({"mode": "raw"}, 100, "occupied"), ({"mode": "raw"}, 0, "free"), ({"mode": "raw"}, 205, "unknown"),
         ({"mode": "raw"}, 66, "occupied"),
     ],
@@ -91,6 +92,34 @@ def test_cells_mean_what_map_server_takes_them_for(tmp_path, settings, value, me
         scene = read_ros_map(path, unknown=unknown)
         assert len(scene.solids) == (means == "occupied" or (means == "unknown" and unknown == "occupied"))
         assert any("100 cells in the room are unknown" in note for note in scene.notes) == (means == "unknown")
+
+
+@pytest.mark.parametrize(
+    ("mode", "grey", "alpha", "means"),
+    [
+        ("trinary", 70, 255, "unknown"), ("trinary", 205, 255, "free"), ("trinary", 0, 255, "occupied"),
+        ("trinary", 0, 0, "occupied"), ("trinary", 255, 0, "unknown"),
+        ("scale", 70, 255, "occupied"), ("scale", 0, 254, "unknown"), ("scale", 254, 0, "unknown"),
+    ],
+)  # fmt: skip
+def test_transparent_cells_mean_what_map_server_takes_them_for(tmp_path, mode, grey, alpha, means):
+    """It averages alpha in with the colours of trinary maps, and takes what is transparent in others for unknown."""
+    pixels = np.full((40, 60, 4), 255, dtype=np.uint8)
+    pixels[10:20, 10:20] = (grey, grey, grey, alpha)
+    imageio.imwrite(tmp_path / "room.png", pixels)
+    path = map_file(tmp_path, floor(), image="room.png", mode=mode)
+    for unknown in ("free", "occupied"):
+        scene = read_ros_map(path, unknown=unknown)
+        assert len(scene.solids) == (means == "occupied" or (means == "unknown" and unknown == "occupied"))
+        assert any("100 cells in the room are unknown" in note for note in scene.notes) == (means == "unknown")
+
+
+def test_numbers_are_read_as_ros_reads_them(tmp_path):
+    pixels = floor()
+    pixels[5:10, 20:30] = 0
+    plain, _ = load_ros_map(map_file(tmp_path, pixels, resolution="0.05", origin="[-0.00001, 0, 0]"))
+    other, _ = load_ros_map(map_file(tmp_path, pixels, resolution="5e-2", origin="[-1e-05, 0, 0]"))
+    assert other.to_dict() == plain.to_dict()
 
 
 def test_borders_of_unknown_cells_are_cut_off(tmp_path):

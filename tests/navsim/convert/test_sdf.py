@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from same_view import assert_same_view, worlds
 
 import navsim
-from navsim.convert import Room, load_sdf, save_sdf
+from navsim.convert import ConversionError, Room, load_sdf, save_sdf
 from navsim.convert.scene import data_of
 from navsim.convert.sdf import read_sdf
 
@@ -298,7 +298,49 @@ def test_places_of_the_files_own_that_are_not_free_are_left_out_and_listed(tmp_p
     assert any("left out" in note and "starts[0]" in note for note in notes)
 
 
+def test_what_cannot_be_pushed_where_it_is_stands_still(tmp_path):
+    light = "<inertial><mass>0.3</mass></inertial><collision"
+    can = link(CAN).replace("<collision", light, 1)
+    on_a_table = model(can, "can", "<pose>0 0 1.1 0 0 0</pose>", static="")
+    on_the_floor = model(can, "tin", "<pose>1.5 0 0.3 0 0 0</pose>", static="")
+    world, notes = load_sdf(world_file(tmp_path, on_a_table + on_the_floor), pushable=True, room=Room(margin=2.0))
+    assert [(obstacle.name, obstacle.base, obstacle.pushable is not None) for obstacle in world.obstacles] == [
+        ("can", pytest.approx(0.8), False),
+        ("tin", 0.0, True),
+    ]
+    assert any("left out" in note and "base" in note for note in notes)
+
+
+def test_a_joint_may_have_its_links_name_before_version_1_7(tmp_path):
+    arm = link(CAN, name="base") + link(CAN, link_pose="<pose>1 0.5 0.3 0 0 0</pose>", name="arm")
+    arm += "<joint name='arm' type='fixed'><pose>0 0 0.1 0 0 0</pose><parent>base</parent><child>arm</child></joint>"
+    scene = read_sdf(world_file(tmp_path, model(arm), version="1.6"))
+    assert [solid.centre for solid in scene.solids] == [(0.0, 0.0), (1.0, 0.5)]
+
+
 # There and back
+
+
+def test_walls_come_back_where_something_reaches_through_them(tmp_path):
+    world = navsim.World.from_dict(
+        {
+            "format": 1,
+            "size": [7, 7],
+            "walls": {"height": 0.5, "thickness": 0.05},
+            "obstacles": [{"box": {"at": [3.4, 0], "size": [0.5, 0.5], "height": 1}}],
+        }
+    )
+    save_sdf(world, tmp_path / "test.sdf")
+    back, notes = load_sdf(tmp_path / "test.sdf")
+    assert back.to_dict() == world.replace(name="test").to_dict() | {"name": back.name}
+    assert not any("wall" in note for note in notes)
+
+
+@pytest.mark.parametrize("walls", ["tall", "2", "2 0", "-1 0.1"])
+def test_walls_that_are_none_are_told(tmp_path, walls):
+    room = f"<navsim:room xmlns:navsim='urn:navsim:world' size='6 6' walls='{walls}'/>"
+    with pytest.raises(ConversionError, match=r"walls of <navsim:room>"):
+        load_sdf(world_file(tmp_path, room + model(link(CAN))))
 
 
 @pytest.mark.parametrize("name", navsim.shipped_worlds())

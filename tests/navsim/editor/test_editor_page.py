@@ -107,12 +107,14 @@ class Page:
         u, v = self.centre("#plan .floor")
         return u + x * self.pixels_per_metre, v - y * self.pixels_per_metre
 
-    def drag(self, begin, end, *, release: bool = True) -> None:
+    def drag(self, begin, end, *, press: bool = True, release: bool = True) -> None:
         from selenium.webdriver.common.actions.action_builder import ActionBuilder
 
         actions = ActionBuilder(self.browser, duration=20)
         pointer = actions.pointer_action
-        pointer.move_to_location(*map(round, begin)).pointer_down()
+        pointer.move_to_location(*map(round, begin))
+        if press:
+            pointer.pointer_down()
         pointer.move_to_location(*(round((a + b) / 2) for a, b in zip(begin, end, strict=True)))
         pointer.move_to_location(*map(round, end))
         if release:
@@ -299,6 +301,25 @@ def test_the_camera_shows_what_is_in_front_of_it_and_how_far(page):
     # The camera looks north, 8.7 cm behind the robot, which is 1 m from the wall.
     assert float(readout.split(" m")[0]) == pytest.approx(1.087, abs=0.02)
     assert page.text == ROOM
+
+
+def test_a_press_that_finds_the_file_changed_does_not_put_the_old_text_back(page):
+    x, y = page.at(1.0, 0.0)
+    page.drag((x, y), (x + 1, y), release=False)  # too little to be a drag
+    page.server.file.path.write_text("# Theirs.\n" + ROOM)
+    page.script("window.dispatchEvent(new Event('focus'))")
+    page.until_text("# Theirs.\n# A room for one test.")
+    page.drag((x + 1, y), (x + 90, y), press=False)
+    assert page.text.startswith("# Theirs.\n")
+    page.save()
+    assert page.server.file.path.read_text().startswith("# Theirs.\n")
+
+
+def test_the_plan_follows_the_text_while_a_polygon_is_begun(page):
+    page.keys("p")
+    page.click(page.at(2.0, 2.0))
+    page.write("  - cylinder: {at: [-1.0, 1.5], radius: 0.2, height: 0.5}\n", "")
+    page.until("return document.querySelectorAll('#plan .obstacle').length === 2")
 
 
 def test_a_file_that_has_changed_meanwhile_is_asked_about(page):
