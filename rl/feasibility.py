@@ -12,7 +12,7 @@ import torch
 
 from navsim.errors import WorldError
 from navsim.planner import shortest_path_length
-from navsim.robot import TURTLEBOT2
+from navsim.robot import TURTLEBOT2, Robot
 from navsim.world import Goal, Start, World
 from navsim.worldfile import load_world
 from navsim.worldsource import is_generated
@@ -47,7 +47,9 @@ def obstacles(config: TrainConfig) -> Iterator[str]:
                 yield str(error)
                 continue
             if source == config.eval_world:
-                yield from _ways_that_are_too_narrow(world, config)
+                yield from _way_that_is_too_narrow(world, source, config.robot, config, "--eval-world")
+            if source in config.world and not config.random_paths:
+                yield from _way_that_is_too_narrow(world, source, config.training_robot, config, "--world")
     if config.device == "cuda" and not torch.cuda.is_available():
         yield NO_CUDA
     directory = config.directory.absolute()
@@ -79,12 +81,11 @@ def obstacles(config: TrainConfig) -> Iterator[str]:
             )
 
 
-def _ways_that_are_too_narrow(world: World, config: TrainConfig) -> Iterator[str]:
-    """The first path of a world that is evaluated in, along which the run's robot does not fit.
+def _way_that_is_too_narrow(world: World, source: str, robot: Robot, config: TrainConfig, option: str) -> Iterator[str]:
+    """The first path of a world along which a robot does not fit.
 
-    World files are checked for the usual robot.
+    World files are checked for the usual robot; training may be with a larger one, and with a margin around it.
     """
-    robot = config.robot
     if robot.radius <= TURTLEBOT2.radius and robot.height <= TURTLEBOT2.height:
         return
     for i, j in world.paths:
@@ -93,10 +94,12 @@ def _ways_that_are_too_narrow(world: World, config: TrainConfig) -> Iterator[str
         assert isinstance(goal, Goal)
         length = shortest_path_length(world, start.at, goal.at, robot.radius, robot.height, config.task.goal_radius)
         if not math.isfinite(length):
+            size, remedy = f"--robot.radius {config.robot.radius:g}, --robot.height {robot.height:g}", "make it smaller"
+            if robot.radius > config.robot.radius:
+                size, remedy = f"{size}, --margin {config.margin:g}", "lower the margin, or draw paths (--random-paths)"
             yield (
-                f"{config.eval_world}: no way from starts[{i}] to goals[{j}] is wide and high enough for this robot "
-                f"(--robot.radius {robot.radius:g}, --robot.height {robot.height:g}); make it smaller, or choose "
-                "another room (--eval-world)"
+                f"{source}: no way from starts[{i}] to goals[{j}] is wide and high enough for this robot ({size}); "
+                f"{remedy}, or choose another room ({option})"
             )
             return
 

@@ -166,6 +166,29 @@ def test_settings_without_sense_are_told_as_such(tmp_path, capsys):
     assert "GiB" not in told
 
 
+def test_listed_paths_that_the_margin_closes_are_refused_before_training(tmp_path):
+    path = tmp_path / "gap.yaml"
+    path.write_text(
+        """
+        format: 1
+        size: [6, 4]
+        obstacles:
+          - box: {at: [0, 1.125], size: [0.2, 1.75], height: 1}
+          - box: {at: [0, -1.125], size: [0.2, 1.75], height: 1}
+        starts: [{at: [-2, 0], yaw_deg: 0}]
+        goals: [[2, 0]]
+        """
+    )
+    assert obstacles(world=(str(path),)) == [], "paths are drawn"
+    (told,) = obstacles(world=(str(path),), random_paths=False, rearrangements=0)
+    assert told == (
+        f"{path}: no way from starts[0] to goals[0] is wide and high enough for this robot (--robot.radius 0.1755, "
+        "--robot.height 0.42, --margin 0.1); lower the margin, or draw paths (--random-paths), or choose another room "
+        "(--world)"
+    )
+    assert obstacles(world=(str(path),), random_paths=False, rearrangements=0, margin=0.0) == []
+
+
 def test_a_room_that_is_too_narrow_for_the_robot_is_refused_before_training(tmp_path):
     path = tmp_path / "gap.yaml"
     walls = "{box: {at: [0, 1.75], size: [0.1, 3], height: 1}}, {box: {at: [0, -1.75], size: [0.1, 3], height: 1}}"
