@@ -18,7 +18,7 @@ from rl.loss import fastest_autocast
 from rl.number_format import FORMATS, NumberFormat
 from rl.policies import load_policy
 from rl.run import Run
-from rl.series import Planned, run_series
+from rl.series import Planned, SeriesError, run_series
 from rl.subnormals import subnormals_are_zero
 
 Collector = Literal["sync", "async"]
@@ -96,13 +96,19 @@ def run(
                     results=results / f"{name}.json",
                 )
             )
-    try:
-        run_series(planned, lambda trained: _results_of(trained, console), lambda: None, console)
-    finally:
+
+    def show() -> list[dict[str, Any]]:
         finished = [json.loads(one.results.read_text(encoding="utf-8")) for one in planned if one.results.exists()]
         if finished:
             console.print(_table(finished, steps))
-    return finished
+        return finished
+
+    try:
+        run_series(planned, lambda trained: _results_of(trained, console), lambda: None, console)
+    except (KeyboardInterrupt, SeriesError):
+        show()
+        raise
+    return show()
 
 
 def _results_of(trained: Run, console: Console) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -58,11 +58,11 @@ def run_series(
         console: where progress is shown.
 
     Raises:
-        ValueError: for results of another length than the one planned, before anything is trained.
+        ValueError: for results of another length or other settings than those planned, before anything is trained.
         SeriesError: at the end, if runs have failed or another process is training them.
     """
     for one in planned:
-        _check_length(one)
+        _check_results(one)
     missing = []
     for number, one in enumerate(planned, 1):
         place = f"[{number}/{len(planned)}] {one.name}"
@@ -87,11 +87,12 @@ def run_series(
         raise SeriesError(f"not finished: {', '.join(missing)}; the reasons stand above")
 
 
-def _check_length(one: Planned) -> None:
+def _check_results(one: Planned) -> None:
     if not one.results.exists():
         return
     try:
-        steps = json.loads(one.results.read_text(encoding="utf-8"))["steps"]
+        found = json.loads(one.results.read_text(encoding="utf-8"))
+        steps, settings = found["steps"], found.get("settings", {})
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{one.results} does not hold the results of a run; move it away") from error
     if steps != one.config.total_steps:
@@ -99,6 +100,24 @@ def _check_length(one: Planned) -> None:
             f"{one.results} has the results of {steps:,} steps, where {one.config.total_steps:,} are asked for; move "
             "it and the run's directory away, or name others (--results, --runs)"
         )
+    wanted = json.loads(json.dumps(settings_of(one.config)))
+    if wanted["autocast"] == "auto":  # which has been decided there
+        del wanted["autocast"]
+    others = sorted(_differences(settings, wanted))
+    if others:
+        raise ValueError(
+            f"{one.results} has the results of other settings than those asked for ({', '.join(others)}); move it and "
+            "the run's directory away, or name others (--results, --runs)"
+        )
+
+
+def _differences(found: dict[str, Any], wanted: dict[str, Any], within: str = "") -> Iterator[str]:
+    """Names of settings that differ, of those that both know: a file may be older than some."""
+    for name in found.keys() & wanted.keys():
+        if isinstance(found[name], dict) and isinstance(wanted[name], dict):
+            yield from _differences(found[name], wanted[name], f"{within}{name}.")
+        elif found[name] != wanted[name]:
+            yield f"{within}{name}"
 
 
 def _forget_checkpoints(one: Planned) -> None:

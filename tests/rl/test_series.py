@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -98,6 +99,24 @@ def test_results_of_another_length_are_refused_before_anything_is_trained(tmp_pa
     other.results.write_text(json.dumps({"steps": 5}))
     with pytest.raises(ValueError, match=r"other\.json has the results of 5 steps, .* move it and the run"):
         run_series([one, other], lambda run: {}, lambda: None, Console(file=io.StringIO()))
+    assert not trained
+
+
+def test_results_of_other_settings_are_refused_before_anything_is_trained(tmp_path, trained):
+    one, other = planned(tmp_path, "one", "other")
+    settings = json.loads(json.dumps(settings_of(other.config)))
+    older = {name: value for name, value in settings.items() if name != "centred"} | {"gone": 1}
+    other.results.parent.mkdir()
+    other.results.write_text(json.dumps({"steps": other.config.total_steps, "settings": older}))
+    run_series([other], lambda run: {}, lambda: None, Console(file=io.StringIO()))  # older, and the same
+    changed = settings | {"gamma": 0.5, "task": settings["task"] | {"max_steps": 7}}
+    other.results.write_text(json.dumps({"steps": other.config.total_steps, "settings": changed}))
+    told = r"other\.json has the results of other settings than those asked for \(gamma, task\.max_steps\); move it"
+    with pytest.raises(ValueError, match=told):
+        run_series([one, other], lambda run: {}, lambda: None, Console(file=io.StringIO()))
+    asked_for_any = [other._replace(config=replace(other.config, autocast="auto"))]
+    other.results.write_text(json.dumps({"steps": other.config.total_steps, "settings": settings}))
+    run_series(asked_for_any, lambda run: {}, lambda: None, Console(file=io.StringIO()))
     assert not trained
 
 
