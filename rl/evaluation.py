@@ -402,7 +402,8 @@ def evaluate(
         sensor: noise, lost returns and latency of the images that the policy sees; else none by default.
         frame_interval: steps from one image of the policy's stack to the next; else 1 by default.
         randomization: what each path draws anew of camera, wheels, sensor and start; nothing by default.
-        seed: of all that is drawn.
+        seed: of all that is drawn. In several worlds, paths are driven some hundred at a time, and each hundred draws
+            the same numbers.
         num_paths: how many paths to drive. Of one world, the first ones; by default all. Of several, as many in each
             (one more in the first, where that does not come out even), drawn with ``seed`` from those that the world
             lists; by default all, up to ``MOST_PATHS`` together. A world whose starts or goals are random has as many

@@ -27,7 +27,7 @@ from navsim.convert.upright import Standing, box_around, prism_around, upright_b
 from navsim.convert.xmlfile import MOST_ELEMENTS, Element, XmlWriter, number, numbers, read_xml
 from navsim.files import write_text
 from navsim.polygon import Vertex
-from navsim.world import Box, Cylinder, Obstacle, Walls, World
+from navsim.world import LARGEST_LENGTH, SMALLEST_LENGTH, Box, Cylinder, Obstacle, Walls, World
 
 VERSIONS = (4, 12)
 """Minor versions of SDFormat 1 that are read, first and last."""
@@ -171,8 +171,11 @@ class _Reader:
             self.scene.walls = "none"
         elif walls is not None:
             height, thickness = hint.numbers_in(walls, 2, "walls of <navsim:room>")
-            if min(height, thickness) <= 0.0:
-                raise hint.error("walls of <navsim:room> must be none, or height and thickness, both greater than 0")
+            if not SMALLEST_LENGTH <= min(height, thickness) <= max(height, thickness) <= LARGEST_LENGTH:
+                raise hint.error(
+                    "walls of <navsim:room> must be none, or height and thickness, both from "
+                    f"{SMALLEST_LENGTH:g} to {LARGEST_LENGTH:g} m"
+                )
             self.scene.walls = Walls(height=height, thickness=thickness)
 
     def _children(

@@ -336,7 +336,7 @@ def test_walls_come_back_where_something_reaches_through_them(tmp_path):
     assert not any("wall" in note for note in notes)
 
 
-@pytest.mark.parametrize("walls", ["tall", "2", "2 0", "-1 0.1"])
+@pytest.mark.parametrize("walls", ["tall", "2", "2 0", "-1 0.1", "2 20000"])
 def test_walls_that_are_none_are_told(tmp_path, walls):
     room = f"<navsim:room xmlns:navsim='urn:navsim:world' size='6 6' walls='{walls}'/>"
     with pytest.raises(ConversionError, match=r"walls of <navsim:room>"):
