@@ -267,6 +267,8 @@ class SharedFrames(MultiStepTransform):
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase | None:
         """Records, one-dimensional and oldest first, of the steps whose n-step return is known by now."""
         steps = tensordict.select(*self._keys).to("cpu")
+        if steps.ndim == 1 and len(steps) > 1:
+            _refuse_one_step_of_many(steps)
         steps = steps.reshape(-1, steps.shape[-1])
         depth, next_depth = steps.pop("depth"), steps.pop(("next", "depth"))
         # A copy, as collectors may write their next batch into the same memory; and no lazy stack, of which a part that
@@ -317,11 +319,6 @@ class SharedFrames(MultiStepTransform):
         self._mark_cut(self._running & ~continues[:, 0])
         continues[:, 1:] = _same(depth[:, 1:], next_depth[:, :-1], leading=2)
         continues[:, 1:] &= _same(heading[:, 1:], next_heading[:, :-1], leading=2)
-        if n == 1 and t > 1 and not (continues[:, 1:] | done[:, :-1]).any():
-            raise ValueError(
-                f"of {t} steps in a row none goes on where the one before it ended: they look like one step of {t} "
-                "environments; give batches (N, T), this one as extend(step.unsqueeze(-1))"
-            )
         done[:, :-1] |= ~continues[:, 1:]
 
         starts = depth[~continues]
@@ -394,6 +391,16 @@ class SharedFrames(MultiStepTransform):
         self._buffer = None
         if waiting is not None:
             self._buffer = TensorDict(waiting, waiting["action"].shape).unflatten_keys(".").clone()
+
+
+def _refuse_one_step_of_many(steps: TensorDictBase) -> None:
+    """Raises ValueError for steps ``(T,)`` of which none goes on where the one before it, or an episode, ended."""
+    goes_on = (steps["heading"][1:] == steps["next", "heading"][:-1]) | steps["next", "done"][:-1]
+    if not goes_on.any():
+        raise ValueError(
+            f"of {len(steps)} steps in a row none goes on where the one before it ended: they look like one step of "
+            f"{len(steps)} environments; give batches (N, T), this one as extend(step.unsqueeze(-1))"
+        )
 
 
 def _same(one: np.ndarray, other: np.ndarray, leading: int) -> np.ndarray:

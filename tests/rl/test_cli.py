@@ -258,12 +258,20 @@ def test_a_directory_with_a_run_is_not_trained_over(finished, room, capsys):
 
 def test_a_finished_run_is_only_reported_again(finished, monkeypatch):
     reported = []
-    monkeypatch.setattr("rl.feasibility.available_memory", lambda: 0)  # nothing is to be trained that takes any
     monkeypatch.setattr("rl.finish.finish", lambda run, console: reported.append(run.directory))
     before = (finished / "metrics.csv").read_text()
     assert main(["train", "--resume", "--out", str(finished)]) == 0
     assert (finished / "metrics.csv").read_text() == before
     assert reported == [finished]
+
+
+def test_what_is_only_to_be_reported_needs_no_room_to_train(finished, tmp_path, monkeypatch):
+    copy = shutil.copytree(finished, tmp_path / "copy")
+    shutil.rmtree(copy / "checkpoints")
+    monkeypatch.setattr("rl.feasibility.available_memory", lambda: 0)
+    monkeypatch.setattr("rl.finish.finish", lambda run, console: None)
+    assert main(["train", "--resume", "--out", str(copy)]) == 0
+    assert main(["train", "--resume", "--out", str(finished)]) == 2, "it has checkpoints to go on from"
 
 
 def test_a_run_keeps_its_settings(finished, capsys):
