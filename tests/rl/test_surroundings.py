@@ -180,6 +180,22 @@ def test_robots_that_begin_anew_forget_and_the_others_do_not():
     np.testing.assert_array_equal(some.state_dict()["points"], memory.state_dict()["points"][[0, 2]])
 
 
+def test_a_robot_that_is_left_out_of_steps_forgets_as_if_they_had_not_been():
+    generator = np.random.default_rng(0)
+    shape = (STEPS + 20, 2, CAMERA.height, CAMERA.width)
+    images = np.repeat(generator.uniform(0.5, 1.5, (*shape[:2], 1, shape[3])), shape[2], axis=2).astype(np.float32)
+    poses = generator.uniform(-0.5, 0.5, (len(images), 2, 3))
+    memory, alone = Surroundings(2, CAMERA), Surroundings(1, CAMERA)
+    memory.begin(images[0], poses[0])
+    alone.begin(images[0, 1:], poses[0, 1:])
+    for step in range(1, len(images)):
+        for _ in range(step % 3):
+            memory.see(images[step - 1], poses[step - 1], np.array([True, False]))
+        memory.see(images[step], poses[step])
+        alone.see(images[step, 1:], poses[step, 1:])
+        np.testing.assert_array_equal(memory.nearest(poses[step])[1:], alone.nearest(poses[step, 1:]))
+
+
 def test_what_is_free_is_not_remembered():
     """Neither as far as the camera sees, nor of the episode before."""
     shortsighted = DepthCamera(width=23, height=16, max_range=1.5)
