@@ -13,15 +13,15 @@ HALL = Path(__file__).with_name("hall.yaml")
 
 
 def small_config(out: Path, **settings: Any) -> TrainConfig:
-    """Settings of a run in ``out`` with small images, few robots and a small replay."""
+    """Settings of a run in ``out`` with small images, few robots in a small room and a small replay."""
     small = replace(
         PRESETS["memoryless"],
         camera=DepthCamera(width=20, height=12),
-        world=("complex_train",),
+        world=(str(HALL),),
         eval_world=str(HALL),
-        rearrangements=2,
+        rearrangements=1,
         total_steps=768,
-        num_envs=4,
+        num_envs=8,
         steps_per_batch=32,
         warmup_steps=128,
         n_step=5,
@@ -39,11 +39,9 @@ def small_config(out: Path, **settings: Any) -> TrainConfig:
 
 
 def tiny_config(out: Path, **settings: Any) -> TrainConfig:
-    """The smallest images, and 16 robots in one small room and another arrangement of it."""
+    """The smallest images, and 16 robots."""
     tiny = {
         "camera": DepthCamera(width=14, height=10),
-        "world": (str(HALL),),
-        "rearrangements": 1,
         "total_steps": 512,
         "num_envs": 16,
         "steps_per_update": 32,
