@@ -101,15 +101,16 @@ def test_replacements_are_those_that_the_run_has_noted(soak, tmp_path):
     assert soak.replacements(tmp_path) == len(told) == 3
 
 
-def test_what_was_measured_is_judged_and_drawn_again(tmp_path):
+def test_what_was_measured_is_judged_and_drawn_again(soak, tmp_path, capsys):
     results, picture = tmp_path / "soak.json", tmp_path / "soak.png"
-    command = [sys.executable, SCRIPT, "--redraw", "--results", results, "--picture", picture]
     for given, status, words in ((measured(), 0, "passed  memory"), (measured(memory=1.1), 1, "FAILED  memory")):
         results.write_text(json.dumps(given))
-        done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
-        assert done.returncode == status, done.stderr
-        assert words in done.stdout
+        with pytest.raises(SystemExit) as ended:
+            soak.main(results=results, picture=picture, redraw=True)
+        assert ended.value.code == status
+        assert words in capsys.readouterr().out
         assert picture.stat().st_size > 10_000
+        picture.unlink()
 
 
 PROGRAM = """

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
+import shutil
 
 import pytest
 from rich.console import Console
@@ -38,10 +39,9 @@ def test_rows_differ_from_the_base_in_what_they_say():
         assert changed == set(row.changes)
 
 
-@pytest.fixture
-def small(monkeypatch, tmp_path):
+def small_rows(monkeypatch, directory):
     """Rows of seconds, and few unseen paths in one small room."""
-    changes = tiny_config(tmp_path, total_steps=256, eval_interval=256, checkpoint_interval=256)
+    changes = tiny_config(directory, total_steps=256, eval_interval=256, checkpoint_interval=256)
     settings = {
         field.name: getattr(changes, field.name)
         for field in dataclasses.fields(changes)
@@ -52,43 +52,61 @@ def small(monkeypatch, tmp_path):
     places = {rl.ablations.COMPLEX: (str(HALL), None), rl.ablations.UNSEEN: (str(HALL), 1)}
     monkeypatch.setattr(rl.ablations, "PLACES", places)
     monkeypatch.setattr(rl.ablations, "arguments_of", lambda config: ["--model", config.model])
-    return {"runs": tmp_path / "runs", "results": tmp_path / "results", "page": tmp_path / "page.md"}
+    return {"runs": directory / "runs", "results": directory / "results", "page": directory / "page.md"}
 
 
-def test_finished_runs_are_not_repeated_and_the_page_has_every_seed(small, monkeypatch):
-    run(["base"], [0, 1], **small, console=QUIET)
-    first = {path.name: path.read_bytes() for path in small["results"].glob("*.json")}
+@pytest.fixture
+def small(monkeypatch, tmp_path):
+    return small_rows(monkeypatch, tmp_path)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """What two seeds of row "base" have left."""
+    directory = tmp_path_factory.mktemp("ablations")
+    with pytest.MonkeyPatch.context() as patch:
+        run(["base"], [0, 1], **small_rows(patch, directory), console=QUIET)
+    return directory
+
+
+@pytest.fixture
+def begun(small, trained, tmp_path):
+    """A table that has two seeds of row "base"."""
+    shutil.copytree(trained, tmp_path, dirs_exist_ok=True)
+    return small
+
+
+def test_finished_runs_are_not_repeated_and_the_page_has_every_seed(begun, monkeypatch):
+    first = {path.name: path.read_bytes() for path in begun["results"].glob("*.json")}
     assert sorted(first) == ["base-seed0.json", "base-seed1.json"]
     trained = []
     train = rl.series.train
     monkeypatch.setattr(rl.series, "train", lambda config, **kw: trained.append(config) or train(config, **kw))
-    run(["S", "base"], [0], **small, console=QUIET)
+    run(["S", "base"], [0], **begun, console=QUIET)
     assert [(config.model, config.seed) for config in trained] == [("S", 0)]
-    assert all((small["results"] / name).read_bytes() == content for name, content in first.items())
+    assert all((begun["results"] / name).read_bytes() == content for name, content in first.items())
 
-    page = small["page"].read_text(encoding="utf-8")
+    page = begun["page"].read_text(encoding="utf-8")
     rates = [json.loads(first[f"base-seed{seed}.json"])["final"]["complex_eval"]["success_rate"] for seed in (0, 1)]
     table = [line for line in page.splitlines() if line.startswith("| base")]
     assert f"| {50 * sum(rates):.1f} | {100 * rates[0]:.0f}, {100 * rates[1]:.0f} |" in table[0]
     assert [line.split(" | ")[:2] for line in table[1:]] == [["| base", "2"]]
     assert page.index("| base") < page.index("| S |")
     assert "- S: `navsim train --model S`" in page
-    assert (small["results"] / "curves.png").stat().st_size > 10_000
+    assert (begun["results"] / "curves.png").stat().st_size > 10_000
     assert "](results/curves.png)" in page
 
 
-def test_results_of_a_row_that_there_is_no_more_are_left_out(small):
-    run(["base"], [0], **small, console=QUIET)
-    results = json.loads((small["results"] / "base-seed0.json").read_text(encoding="utf-8"))
-    before = small["page"].read_text(encoding="utf-8")
-    (small["results"] / "gone-seed0.json").write_text(json.dumps(results | {"row": "gone"}), encoding="utf-8")
-    run(["base"], [0], **small, console=QUIET)
-    assert small["page"].read_text(encoding="utf-8") == before
+def test_results_of_a_row_that_there_is_no_more_are_left_out(begun):
+    results = json.loads((begun["results"] / "base-seed0.json").read_text(encoding="utf-8"))
+    before = begun["page"].read_text(encoding="utf-8")
+    (begun["results"] / "gone-seed0.json").write_text(json.dumps(results | {"row": "gone"}), encoding="utf-8")
+    run(["base"], [0], **begun, console=QUIET)
+    assert begun["page"].read_text(encoding="utf-8") == before
 
 
-def test_the_page_tells_what_the_same_weights_do_symmetrically(small):
-    run(["base"], [0, 1], **small, console=QUIET)
-    files = sorted(small["results"].glob("*.json"))
+def test_the_page_tells_what_the_same_weights_do_symmetrically(begun):
+    files = sorted(begun["results"].glob("*.json"))
     for file, alone, mean in zip(files, (0.8, 0.9), (0.9, 0.94), strict=True):
         results = json.loads(file.read_text(encoding="utf-8"))
         for kind, rate in (("alone", alone), ("symmetric", mean)):
@@ -97,9 +115,9 @@ def test_the_page_tells_what_the_same_weights_do_symmetrically(small):
         file.write_text(json.dumps(results), encoding="utf-8")
     older = json.loads(files[0].read_text(encoding="utf-8")) | {"seed": 2}
     del older["symmetric"]
-    (small["results"] / "base-seed2.json").write_text(json.dumps(older), encoding="utf-8")
-    run(["base"], [0], **small, console=QUIET)
-    (row,) = [line for line in small["page"].read_text(encoding="utf-8").splitlines() if line.startswith("| base | 2")]
+    (begun["results"] / "base-seed2.json").write_text(json.dumps(older), encoding="utf-8")
+    run(["base"], [0], **begun, console=QUIET)
+    (row,) = [line for line in begun["page"].read_text(encoding="utf-8").splitlines() if line.startswith("| base | 2")]
     told = ["85.0 → 92.0", "80 → 90, 90 → 94", "85.0 → 92.0", "80.0 → 90.0, 90.0 → 94.0"]
     assert row == f"| base | 2 | {' | '.join(told)} |"
 
@@ -118,8 +136,8 @@ def test_symmetric_policies_are_evaluated_beside_those_of_the_network_alone(smal
     assert results["final"] == results["symmetric"]  # which preset memoryless is
 
 
-def test_the_page_may_lie_anywhere(small, tmp_path):
-    run(["base"], [0], **{**small, "page": tmp_path / "elsewhere" / "page.md"}, console=QUIET)
+def test_the_page_may_lie_anywhere(begun, tmp_path):
+    run(["base"], [0], **{**begun, "page": tmp_path / "elsewhere" / "page.md"}, console=QUIET)
     assert "](../results/curves.png)" in (tmp_path / "elsewhere" / "page.md").read_text(encoding="utf-8")
 
 
@@ -129,17 +147,16 @@ def test_a_row_that_there_is_not_is_named_before_anything_is_trained(small):
     assert not small["runs"].exists()
 
 
-def test_what_different_machines_took_is_no_mean_and_formats_that_differ_are_in_no_command(small):
-    run(["base"], [0, 1], **small, console=QUIET)
-    one, other = (small["results"] / f"base-seed{seed}.json" for seed in (0, 1))
+def test_what_different_machines_took_is_no_mean_and_formats_that_differ_are_in_no_command(begun):
+    one, other = (begun["results"] / f"base-seed{seed}.json" for seed in (0, 1))
     formats = {one: "--autocast float32 --no-report", other: "--autocast bfloat16 --no-report"}
     for file, minutes, machine in ((one, 10, "a slow one"), (other, 30, "a slow one"), (other, 30, "a fast one")):
         results = json.loads(file.read_text(encoding="utf-8")) | {"machine": machine}
         results["command"] = f"navsim train {formats[file] if machine == 'a fast one' else formats[one]}"
         results["curve"]["processor_seconds"][-1] = 60.0 * minutes
         file.write_text(json.dumps(results), encoding="utf-8")
-        run(["base"], [0], **small, console=QUIET)
-        page = small["page"].read_text(encoding="utf-8").splitlines()
+        run(["base"], [0], **begun, console=QUIET)
+        page = begun["page"].read_text(encoding="utf-8").splitlines()
         (row,) = [line for line in page if line.startswith("| base | base")]
         (command,) = [line for line in page if line.startswith("- base:")]
         if machine == "a fast one":

@@ -19,12 +19,12 @@ from pathlib import Path
 import pytest
 import torch
 from tensordict.nn import TensorDictModuleBase
-from torchrl.collectors import Collector, MultiSyncCollector
+from torchrl.collectors import Collector
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from navsim.camera import DepthCamera
 from navsim.worldsource import worlds_from
-from rl.background import MOST_REPLACEMENTS, CollectorError, PersistentCollector
+from rl.background import MOST_REPLACEMENTS, BackgroundCollector, CollectorError, PersistentCollector
 from rl.collect import explorer, make_collector, make_env, training_worlds
 from rl.config import PRESETS
 from rl.env import NavEnv
@@ -148,22 +148,6 @@ def test_an_environment_takes_generated_rooms():
     assert env.rollout(5, break_when_any_done=False).shape == (4, 5)
 
 
-def test_it_works_in_processes_of_their_own():
-    collector = MultiSyncCollector(
-        [partial(NavEnv, "complex_train", 2, camera=CAMERA, seed=seed) for seed in range(2)],
-        None,
-        frames_per_batch=32,
-        total_frames=64,
-    )
-    try:
-        batches = [batch.clone() for batch in collector]
-    finally:
-        collector.shutdown()
-    assert sum(batch.numel() for batch in batches) == 64
-    assert batches[0]["depth"].dtype == torch.uint8
-    assert len(torch.unique(batches[0]["pose"].reshape(-1, 3), dim=0)) > 8
-
-
 def test_the_plain_collector_takes_a_creator():
     collector = Collector(partial(NavEnv, "simple_train", 2, camera=CAMERA), None, frames_per_batch=20, total_frames=40)
     assert sum(batch.numel() for batch in collector) == 40
@@ -247,35 +231,32 @@ class SleepyPolicy(FailingPolicy):
         time.sleep(600)
 
 
-def test_a_background_collector_that_hangs_is_told_with_the_place_where_it_does():
-    config = replace(CONFIG, collector="async", worker_timeout=3.0)
-    told: list[str] = []
-    collector = make_collector(make_env(config), SleepyPolicy(), config, total_steps=3200, replaced=told.append)
+def end_of(policy: TensorDictModuleBase) -> str:
+    """What is told of a collecting process that comes to an end by its policy."""
+    collector = BackgroundCollector(
+        make_env(CONFIG), policy, seed=0, frames_per_batch=32, total_frames=3200, timeout=3.0
+    )
     try:
-        for _ in collector:
-            if told:
-                break
-        assert "hung: it gave no sign of life for 3 s" in told[0]
-        assert "it was here:" in told[0]
-        assert "in fall_asleep" in told[0]
+        with pytest.raises(CollectorError) as told:
+            for _ in collector:
+                pass
     finally:
         collector.shutdown(raise_on_error=False)
     assert not multiprocessing.active_children()
+    return str(told.value)
+
+
+def test_a_background_collector_that_hangs_is_told_with_the_place_where_it_does():
+    told = end_of(SleepyPolicy())
+    assert "hung: it gave no sign of life for 3 s" in told
+    assert "it was here:" in told
+    assert "in fall_asleep" in told
 
 
 def test_an_exception_in_a_background_collector_is_told_with_its_traceback():
-    config = replace(CONFIG, collector="async")
-    told: list[str] = []
-    collector = make_collector(make_env(config), FailingPolicy(), config, total_steps=3200, replaced=told.append)
-    try:
-        for _ in collector:
-            if told:
-                break
-        assert "Traceback" in told[0]
-        assert "ArithmeticError: the hundredth call" in told[0]
-    finally:
-        collector.shutdown(raise_on_error=False)
-    assert not multiprocessing.active_children()
+    told = end_of(FailingPolicy())
+    assert "Traceback" in told
+    assert "ArithmeticError: the hundredth call" in told
 
 
 ORPHAN = """

@@ -6,6 +6,7 @@ import imageio.v3 as imageio
 import numpy as np
 import pytest
 import torch
+from small_runs import HALL
 
 import rl.drive
 from navsim.camera import DepthCamera
@@ -119,11 +120,11 @@ def test_it_drives_by_the_weights_and_the_symmetry_that_are_asked_for(run, filme
     torch.manual_seed(7)
     run.save_policy("policy_last", make_actor(run.config).state_dict())
     film = str(tmp_path / "a.mp4")
-    arguments = ["drive", str(run.directory), "--world", "simple_eval", "--goal", "0", "-o", film]
+    arguments = ["drive", str(run.directory), "--world", str(HALL), "--goal", "0", "-o", film]
     assert main([*arguments, "--weights", "last", "--symmetric", "yes"]) == 0
     asked = filmed["q_values"]
     expected = Values(load_policy(run.directory, weights="last", symmetric=True))
-    evaluate(expected, "simple_eval", camera=run.config.camera, num_paths=1)
+    evaluate(expected, str(HALL), camera=run.config.camera, num_paths=1)
     np.testing.assert_allclose(asked, torch.stack(expected.values))
     assert main(arguments) == 0
     assert not np.allclose(filmed["q_values"][0], asked[0])
@@ -162,7 +163,7 @@ def test_it_drives_in_a_generated_room(filmed, tmp_path):
 
 def test_a_drive_makes_a_film(run, tmp_path, capsys):
     film = tmp_path / "drive.gif"
-    assert main(["drive", str(run.directory), "--world", "simple_eval", "-o", str(film)]) == 0
+    assert main(["drive", str(run.directory), "--world", str(HALL), "-o", str(film)]) == 0
     assert str(film) in capsys.readouterr().out
     assert imageio.imread(film).shape[1:] == (520, 960, 3)
 
