@@ -105,7 +105,7 @@ class Report:
         return None if self.world is None else summarise(self.world, self.equipment)
 
     def to_dict(self) -> dict[str, Any]:
-        """The report as plain data for JSON; a width that nothing limits is null."""
+        """The report as plain data for JSON; a width that nothing limits is null, and so is a way that there is not."""
         data: dict[str, Any] = {
             "file": self.source,
             "ok": self.ok,
@@ -117,6 +117,7 @@ class Report:
             for told, path in zip(data["summary"]["paths"], self.summary.paths, strict=True):
                 width, sides = path.passage
                 told["passage"] = {"width": width if math.isfinite(width) else None, "sides": list(sides)}
+                told["length"] = path.length if math.isfinite(path.length) else None
         return data
 
 

@@ -75,7 +75,7 @@ def oddities(world: World, equipment: Equipment | None = None) -> list[Problem]:
         *_inside_others(world),
         *_out_of_sight(world, equipment),
         *_reached_at_once(world, equipment.task),
-        *_ended_at_once(world, equipment),
+        *ended_at_once(world, equipment),
         *_never_free(world, equipment),
         *_narrow_ways(world, equipment),
     ]
@@ -164,7 +164,7 @@ def _reached_at_once(world: World, task: Task) -> Iterator[Problem]:
                 yield Problem(("goals", j), text)
 
 
-def _ended_at_once(world: World, equipment: Equipment) -> Iterator[Problem]:
+def ended_at_once(world: World, equipment: Equipment) -> Iterator[Problem]:
     """Starts where the robot sees something nearer than the depth rule allows before it has moved.
 
     What moves does not count: an episode begins when it is away.
@@ -214,9 +214,10 @@ def _narrow_ways(world: World, equipment: Equipment) -> Iterator[Problem]:
         who = "every start" if every and len(starts) > 1 else " and ".join(key_path(("starts", i)) for i in starts)
         left, right = passage.sides
         between = f"between '{left}' and '{right}'" if left != right else f"within '{left}'"
+        width = 2.0 * equipment.robot.radius
+        need = f"fits, but with the depth rule it needs {equipment.narrow:.2g} m to be safe"
         text = (
             f"the widest way from {who} leads through a gap of {passage.width:.2f} m {between}: the robot "
-            f"({2.0 * equipment.robot.radius:.2f} m wide) fits, but with the depth rule it needs "
-            f"{equipment.narrow:.2g} m to be safe"
+            f"({width:.2f} m wide) {need if width <= passage.width else 'does not fit'}"
         )
         yield Problem(("goals", j), text)

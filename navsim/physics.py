@@ -23,13 +23,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 import pymunk
 
 from navsim.contact_space import ALLOWED_OVERLAP, CONTACT_OVERLAP, LONGEST_STEP, PUSHES, ContactSpace
 from navsim.dynamics import Dynamics, MovingPrisms
-from navsim.robot import TURTLEBOT2, Robot, wrap_angle
+from navsim.robot import TURTLEBOT2, Robot, with_wheel_errors, wrap_angle
 from navsim.spaces import ContactSpaceOwner, let_go
 from navsim.world import World
 
@@ -42,6 +43,7 @@ _MOST_SPACES = 64
 """Worlds whose Chipmunk spaces are kept: each takes up to 0.4 MB, whose pools only grow, and half a millisecond to make
 anew. (To furnish a space anew instead makes it grow without end.)"""
 _STATE = ("poses", "speeds", "world_index", "phases", "clock", "obstacle_poses", "obstacle_speeds")
+_Kept = TypeVar("_Kept")
 _MARGIN = 1e-6  # metres by which a clearance must exceed what is needed, far above rounding
 
 
@@ -87,11 +89,23 @@ class Physics:
         self.obstacle_speeds = np.zeros((num_robots, self.dynamics.most, 3))
         self.touched_solid: np.ndarray = np.zeros(num_robots, dtype=bool)
         self.touched_pushable: np.ndarray = np.zeros(num_robots, dtype=bool)
+        self._furnish()
+
+    def _furnish(self) -> None:
         self._spaces: dict[int, _Space] = {}
         self._contact_spaces: dict[int, ContactSpace] = {}
-        self._bodies = [_RobotBody(robot) for _ in range(num_robots)]
+        self._bodies = [_RobotBody(self.robot) for _ in self.poses]
         # A distance from the robot's centre within which nothing stands, metres; negative where unknown.
-        self._free_radius = np.full(num_robots, -1.0)
+        self._free_radius = np.full(len(self.poses), -1.0)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Chipmunk's things lose what they tell of contacts when they are copied, and are made anew where needed.
+        made_anew = ("_spaces", "_contact_spaces", "_bodies", "_free_radius")
+        return {name: value for name, value in self.__dict__.items() if name not in made_anew}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._furnish()
 
     def place(
         self,
@@ -282,17 +296,27 @@ class Physics:
         return near
 
     def _contact_space(self, world: int) -> ContactSpace:
-        space = self._contact_spaces.get(world)
-        if space is None:
-            space = self._contact_spaces[world] = ContactSpace(self.worlds[world], self.robot)
-        return space
+        return _used(self._contact_spaces, world) or _keep(
+            self._contact_spaces, world, ContactSpace(self.worlds[world], self.robot)
+        )
 
     def _space(self, world: int) -> _Space:
-        space = self._spaces.pop(world, None) or _Space(self.worlds[world], self.robot)
-        self._spaces[world] = space  # the one used last is the last
-        if len(self._spaces) > _MOST_SPACES:
-            del self._spaces[next(iter(self._spaces))]
-        return space
+        return _used(self._spaces, world) or _keep(self._spaces, world, _Space(self.worlds[world], self.robot))
+
+
+def _used(spaces: dict[int, _Kept], world: int) -> _Kept | None:
+    """The space of a world, which becomes the last of them, being the one used last."""
+    if world in spaces:
+        spaces[world] = spaces.pop(world)
+    return spaces.get(world)
+
+
+def _keep(spaces: dict[int, _Kept], world: int, space: _Kept) -> _Kept:
+    """Adds a space, and lets the one go that has not been used for longest where there are too many."""
+    spaces[world] = space
+    if len(spaces) > _MOST_SPACES:
+        del spaces[next(iter(spaces))]
+    return space
 
 
 def obstacle_poses_along(
@@ -303,6 +327,7 @@ def obstacle_poses_along(
     duration: float,
     robot: Robot = TURTLEBOT2,
     substep: float = 0.02,
+    wheel_errors: tuple[float, float] = (0.0, 0.0),
 ) -> np.ndarray:
     """Where a world's dynamic obstacles are while a robot drives: its episode once more, for pictures of it.
 
@@ -314,6 +339,7 @@ def obstacle_poses_along(
         duration: of each command, seconds.
         robot: who drives.
         substep: of the physics, seconds.
+        wheel_errors: of the left and the right wheel, see ``navsim.robot.with_wheel_errors``.
 
     Returns:
         ``(K + 1, D, 3)``, at the beginning and after each command; see ``navsim.dynamics``.
@@ -321,7 +347,7 @@ def obstacle_poses_along(
     physics = Physics([world], 1, robot, substep)
     physics.place([0], 0, np.asarray(start, dtype=np.float64)[None], phases)
     poses = [physics.obstacle_poses[0].copy()]
-    for command in commands:
+    for command in with_wheel_errors(commands, np.array([wheel_errors])):
         physics.drive(command[None], duration)
         poses.append(physics.obstacle_poses[0].copy())
     return np.array(poses)

@@ -37,6 +37,7 @@ class RandomPlaces:
         name: the world's, for errors.
         half_size: ``(2,)``, the room is ``-half_size <= (x, y) <= half_size``, metres.
         prisms: what stands in the robot's way, walls included.
+        rim: what bounds a floor without walls, around which no way leads.
         robot_radius: metres.
         apart: least distance between a start and its goal, metres.
         views: from poses ``(K, 3)`` to the free view ``(K,)`` of each, metres.
@@ -49,6 +50,7 @@ class RandomPlaces:
         name: str,
         half_size: np.ndarray,
         prisms: Sequence[Prism],
+        rim: Sequence[Prism] = (),
         *,
         robot_radius: float,
         apart: float,
@@ -56,7 +58,7 @@ class RandomPlaces:
         wanted_view: float,
         least_view: float,
     ) -> None:
-        self._name, self._half_size, self._prisms = name, half_size, tuple(prisms)
+        self._name, self._half_size, self._prisms, self._rim = name, half_size, tuple(prisms), tuple(rim)
         self._robot_radius, self._apart = robot_radius, apart
         self._views, self._wanted_view, self._least_view = views, wanted_view, least_view
 
@@ -95,7 +97,8 @@ class RandomPlaces:
                 return [found[robot] for robot in range(len(generators))]
         raise ValueError(
             f'world "{self._name}" has no room for an episode: of {_ROUNDS * _POINTS} random places none was '
-            "free for a start and connected with a goal; clear obstacles away or list its starts and goals"
+            f"free for a start and connected with a goal at least {self._apart:g} m away; clear obstacles away, "
+            "list its starts and goals, or make the goal smaller"
         )
 
     def suits(self, start: np.ndarray, goal: np.ndarray) -> bool:
@@ -159,4 +162,4 @@ class RandomPlaces:
 
     @cached_property
     def _chains(self) -> Chains:
-        return Chains(self._footprints, self._robot_radius)
+        return Chains(Footprints.of((*self._prisms, *self._rim)), self._robot_radius)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,3 +45,17 @@ class Prism:
     def overlaps_heights(self, low: float, high: float) -> bool:
         """Whether some height in the open range (``low``, ``high``), metres, belongs to the prism."""
         return self.base < high and self.top > low
+
+
+def walls_around(half_size: np.ndarray, height: float, thickness: float) -> Iterator[Prism]:
+    """The four walls around the rectangle from ``-half_size`` to ``half_size`` ``(2,)``; all in metres."""
+    (x, y), t = half_size, thickness
+    for side, low, high in (
+        ("north", (-x - t, y), (x + t, y + t)),
+        ("east", (x, -y), (x + t, y)),
+        ("south", (-x - t, -y - t), (x + t, -y)),
+        ("west", (-x - t, -y), (-x, y)),
+    ):
+        vertices = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
+        vertices.flags.writeable = False
+        yield Prism(f"wall {side}", -1, 0.0, height, vertices)

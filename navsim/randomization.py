@@ -59,7 +59,12 @@ class Randomization:
     def __post_init__(self) -> None:
         for setting in dataclasses.fields(self):
             value = getattr(self, setting.name)
-            if not (len(value) == 2 and all(map(math.isfinite, value)) and value[0] <= value[1]):
+            if isinstance(value, list | np.ndarray):
+                value = tuple(value)
+                object.__setattr__(self, setting.name, value)
+            if not (
+                isinstance(value, tuple) and len(value) == 2 and all(map(math.isfinite, value)) and value[0] <= value[1]
+            ):
                 raise ValueError(
                     f"randomization {setting.name} must be two finite numbers, least and greatest; got {value!r}"
                 )

@@ -245,6 +245,8 @@ def nearest_depth(
     Returns:
         ``(N,)`` float32, metres; ``within`` where nothing nearer is seen.
     """
+    if within == 0.0:
+        return np.zeros(len(poses), dtype=np.float32)
     mounts = camera.mounts(len(poses)) if mounts is None else mounts
     subjects = _Subjects(scene, world_index, poses, mounts, moving)
     nearest = np.empty(len(poses), dtype=np.float32)

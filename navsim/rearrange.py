@@ -45,6 +45,7 @@ def _arranged(world: World, pieces: list[_Piece], generator: np.random.Generator
     description = world.to_dict()
     obstacles: list[dict[str, Any]] = []
     outlines = np.zeros((0, 2))
+    placed: list[tuple[_Piece, np.ndarray, np.ndarray]] = []
     for piece in pieces:
         for _ in range(_TRIES):
             turn, offset = piece.place(generator, world.half_size - piece.margin, gap)
@@ -53,6 +54,10 @@ def _arranged(world: World, pieces: list[_Piece], generator: np.random.Generator
                 continue
             if len(outlines) and piece.footprints.nearest((outlines - offset) @ turn)[0].min() < gap:
                 continue
+            # What keeps clear of all outlines may still lie within one.
+            if any(other.footprints.nearest((outline[:1] - at) @ by)[0].min() < gap for other, by, at in placed):
+                continue
+            placed.append((piece, turn, offset))
             outlines = np.concatenate([outlines, outline])
             obstacles += [_moved(description["obstacles"][i], turn, offset, piece.centre) for i in piece.members]
             break

@@ -55,8 +55,7 @@ def obstacle_depth(
     forward = reading if camera.depth == "planar" else reading / camera.ray_lengths
     height = np.float32(camera.mount_z) + camera.row_climbs.astype(np.float32)[:, None] * forward
     obstructs = (reading < camera.max_range) & (height > low) & (height < high)
-    if lossy:
-        obstructs &= reading > 0.0
+    obstructs = obstructs & (reading > 0.0) if lossy else obstructs | (reading == 0.0)
     if camera.pitch_deg:
         columns, inside = _columns_of_level_camera(camera)
         obstructs = np.take_along_axis(obstructs, _like(columns, obstructs), axis=-1) & inside

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from os import PathLike
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -109,6 +110,8 @@ class Simulator:
         seed: int | None = None,
         draw_worlds: bool = False,
     ) -> None:
+        if isinstance(worlds, str | PathLike):
+            raise TypeError(f"a simulator takes worlds, not their names: load_world({str(worlds)!r}) reads one")
         self.worlds = (worlds,) if isinstance(worlds, World) else tuple(worlds)
         if not self.worlds:
             raise ValueError("a simulator needs at least one world; got an empty sequence")
@@ -199,7 +202,8 @@ class Simulator:
             raise ValueError(f"there must be one path a robot, {self.num_robots} in all; got {len(paths)}")
         robots = np.flatnonzero(chosen)
         if len(robots):
-            self._begin(robots, [None if paths is None else paths[robot] for robot in robots.tolist()])
+            wanted = [None if paths is None else paths[robot] for robot in robots.tolist()]
+            self._begin(robots, [None if path is None else Path(*path) for path in wanted])
             self.ideal_depth[robots] = self._look(robots)
             self._sensor.begin(robots, self.ideal_depth[robots])
             self._past_poses[robots] = self.poses[robots, None]
@@ -228,7 +232,7 @@ class Simulator:
         except (ValueError, RuntimeError):
             self._ended = before["ended"]
             raise
-        self.load_state_dict(_rows_of_both(stepped, self.state_dict(), before))
+        self._restore(_rows_of_both(stepped, self.state_dict(), before))
         depth, headings, pose = self._perceived()
         return Transition(
             depth,
@@ -291,13 +295,27 @@ class Simulator:
         """Goes on from a ``state_dict`` of a simulator with the same settings, bit for bit.
 
         Raises:
-            ValueError: for a state of another number of robots.
+            ValueError: for a state of another number of robots, or of other settings; then nothing is changed.
         """
         if len(state["steps"]) != self.num_robots:
             raise ValueError(
                 f"the state holds {len(state['steps'])} robots, but this simulator has {self.num_robots}: "
                 "create it with the same num_robots"
             )
+        # States from before it was kept have no such entry.
+        missing = {
+            "past_poses": np.repeat(np.asarray(state["physics"]["poses"])[:, None], self._past_poses.shape[1], axis=1)
+        }
+        state = {**missing, **state}
+        for key, own, given in _shapes_of_both(self.state_dict(), state):
+            if own != given:
+                raise ValueError(
+                    f"the state's {key} is of shape {given}, and this simulator's of shape {own}: create it with the "
+                    "same worlds, camera, sensor and randomization"
+                )
+        self._restore(state)
+
+    def _restore(self, state: dict[str, Any]) -> None:
         self._physics.load_state_dict(state["physics"])
         self.commands = np.array(state["commands"], dtype=np.float64)
         self.goals = np.array(state["goals"], dtype=np.float64)
@@ -310,20 +328,13 @@ class Simulator:
         self.mounts = Mounts(*np.array(state["mounts"], dtype=np.float64).T)
         self.wheel_errors = np.array(state["wheel_errors"], dtype=np.float64)
         self._sensor.load_state_dict(state["sensor"])
-        # States from before it was kept have none.
-        past_poses = state.get("past_poses", np.repeat(self.poses[:, None], self._past_poses.shape[1], axis=1))
-        self._past_poses = np.array(past_poses, dtype=np.float64)
+        self._past_poses = np.array(state["past_poses"], dtype=np.float64)
         self.ideal_depth = self._look(np.arange(self.num_robots))
 
     def _begin(self, robots: np.ndarray, paths: list[Path | None]) -> None:
         """Puts ``robots`` ``(K,)`` at the beginnings of episodes, those of one world together."""
-        worlds = np.array([self._world_of(robot, path) for robot, path in zip(robots.tolist(), paths, strict=True)])
-        for world in np.unique(worlds).tolist():
-            members = np.flatnonzero(worlds == world)
-            generators = [self._generators[robot] for robot in robots[members]]
+        for chosen, world, drawn in self._drawn(robots, paths):
             episodes = self._episodes_of(world)
-            drawn = episodes.draw_many(generators, [paths[member] for member in members])
-            chosen = robots[members]
             poses = [
                 self._randomize(robot, episodes, episode) for robot, episode in zip(chosen.tolist(), drawn, strict=True)
             ]
@@ -334,6 +345,27 @@ class Simulator:
         self.commands[robots] = INITIAL_COMMAND
         self.steps[robots] = 0
         self._ended[robots] = False
+
+    def _drawn(self, robots: np.ndarray, paths: list[Path | None]) -> list[tuple[np.ndarray, int, list[Episode]]]:
+        """The next episodes of ``robots`` ``(K,)``: for each world its robots, its index, and theirs.
+
+        What cannot be drawn has changed nothing, not even the generators.
+        """
+        own = [self._generators[robot] for robot in robots.tolist()]
+        before = [(generator, generator.bit_generator.state) for generator in own]
+        drawn = []
+        try:
+            worlds = np.array([self._world_of(robot, path) for robot, path in zip(robots.tolist(), paths, strict=True)])
+            for world in np.unique(worlds).tolist():
+                members = np.flatnonzero(worlds == world)
+                generators = [self._generators[robot] for robot in robots[members]]
+                begun = self._episodes_of(world).draw_many(generators, [paths[member] for member in members])
+                drawn.append((robots[members], world, begun))
+        except ValueError:
+            for generator, state in before:
+                generator.bit_generator.state = state
+            raise
+        return drawn
 
     def _world_of(self, robot: int, path: Path | None) -> int:
         if path is not None:
@@ -411,6 +443,15 @@ class Simulator:
         if self._ended.any():
             raise RuntimeError(f"robot {int(np.argmax(self._ended))} has no running episode: reset it before stepping")
         return actions
+
+
+def _shapes_of_both(one: dict[str, Any], other: dict[str, Any]) -> Iterator[tuple[str, tuple[int, ...], Any]]:
+    """The names of what is in a state, and its shapes in both."""
+    for key, value in one.items():
+        if isinstance(value, dict):
+            yield from ((f"{key}.{name}", *shapes) for name, *shapes in _shapes_of_both(value, other[key]))
+        elif isinstance(value, np.ndarray):
+            yield key, value.shape, np.shape(other[key])
 
 
 def _rows_of_both(mask: np.ndarray, ones: Any, others: Any) -> Any:

@@ -14,12 +14,15 @@ from navsim.camera import DepthCamera, Mounts
 from navsim.dynamics import Dynamics, outlines
 from navsim.motion_rules import meet
 from navsim.places import START_CLEARANCE, RandomPlaces
+from navsim.planner import OPEN_FLOOR_MARGIN
+from navsim.prism import walls_around
 from navsim.raycast import Scene, nearest_depth
 from navsim.robot import Robot, wrap_angle
 from navsim.world import World
 
 _YAWS = np.deg2rad(np.arange(-175.0, 181.0, 5.0))  # what an open start yaw is drawn from
 _PHASES = 200  # times that the phases of moving obstacles are drawn before a start is said to be never free
+_PATIENCE = 40  # times after which it is enough that what moves does not end the episode at once
 _OFFSETS = 40  # offsets from a listed start that are tried before it is taken as it is
 
 
@@ -77,7 +80,13 @@ class Task:
             raise ValueError(f"task max_steps must be a whole number, at least 1; got {self.max_steps!r}")
 
     def check_camera(self, camera: DepthCamera) -> None:
-        """Raises ValueError for a camera that sees the bare floor nearer than ``collision_depth``."""
+        """Raises ValueError for a camera that sees the floor, or all that it sees, nearer than ``collision_depth``."""
+        if camera.max_range < self.collision_depth:
+            raise ValueError(
+                f"the camera sees no further than its max_range of {camera.max_range:g} m, nearer than the task's "
+                f"collision_depth of {self.collision_depth:g} m, so that every step would collide: lower "
+                "collision_depth, or raise max_range"
+            )
         floor = camera.least_floor_depth
         if floor < self.collision_depth:
             raise ValueError(
@@ -236,7 +245,9 @@ class Episodes:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Phases ``(D,)`` of what moves, a start ``(3,)`` that it leaves free, and a goal ``(2,)``."""
         freest, best = -math.inf, None
-        for _ in range(_PHASES):
+        for attempt in range(_PHASES):
+            if attempt >= _PATIENCE and freest >= self._task.collision_depth:
+                break
             phases = self._dynamics.draw_phases(0, generator)
             ((start, goal),) = self._places([generator], [indices])
             if not self._moving_keep_clear(phases, start):
@@ -377,10 +388,12 @@ class Episodes:
 
     @cached_property
     def _random_places(self) -> RandomPlaces:
+        reach = self._world.half_size + OPEN_FLOOR_MARGIN + self._robot.radius  # as far as planned ways may lead
         return RandomPlaces(
             self._world.name,
             self._world.half_size,
             [prism for prism in self._world.standing_prisms if prism.overlaps_heights(0.0, self._robot.height)],
+            () if self._world.walls else tuple(walls_around(reach, height=1.0, thickness=1.0)),
             robot_radius=self._robot.radius,
             apart=self._task.goal_radius,
             views=self._views,

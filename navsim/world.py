@@ -31,7 +31,7 @@ from typing_extensions import Self
 from navsim.errors import Problem, WorldError
 from navsim.motion_rules import FASTEST
 from navsim.polygon import convex_pieces, crossing_edges, signed_area
-from navsim.prism import Prism
+from navsim.prism import Prism, walls_around
 from navsim.rules import broken_rules
 
 FORMAT = 1
@@ -605,18 +605,7 @@ class World(_Settings):
         return obstacle.motion is not None or (with_pushable and obstacle.pushable is not None)
 
     def _wall_prisms(self) -> Iterable[Prism]:
-        if self.walls is None:
-            return
-        (x, y), t = self.half_size, self.walls.thickness
-        for side, low, high in (
-            ("north", (-x - t, y), (x + t, y + t)),
-            ("east", (x, -y), (x + t, y)),
-            ("south", (-x - t, -y - t), (x + t, -y)),
-            ("west", (-x - t, -y), (-x, y)),
-        ):
-            vertices = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
-            vertices.flags.writeable = False
-            yield Prism(f"wall {side}", -1, 0.0, self.walls.height, vertices)
+        return () if self.walls is None else walls_around(self.half_size, self.walls.height, self.walls.thickness)
 
     @cached_property
     def derived(self) -> dict[Any, Any]:

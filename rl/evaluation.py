@@ -103,6 +103,8 @@ class PathResult:
     """Where in their periods, from 0 to 1, the world's moving obstacles were at the start."""
     world_index: int = 0
     """In the evaluation's ``worlds``."""
+    wheel_errors: tuple[float, float] = (0.0, 0.0)
+    """Shares by which the left and the right wheel turned faster than they were told."""
 
     @property
     def steps(self) -> int:
@@ -131,7 +133,9 @@ class PathResult:
         if not dynamic_obstacles(world):
             return None
         start, period = self.trajectory[0], task.control_period
-        return obstacle_poses_along(world, start, self.phases, self.commands[1:], period, robot, task.substep)
+        return obstacle_poses_along(
+            world, start, self.phases, self.commands[1:], period, robot, task.substep, self.wheel_errors
+        )
 
     @property
     def spl(self) -> float:
@@ -159,6 +163,7 @@ class PathResult:
             "path_length": self.path_length,
             "shortest_path_length": self.shortest_path_length if math.isfinite(self.shortest_path_length) else None,
             "phases": list(self.phases),
+            "wheel_errors": list(self.wheel_errors),
             "actions": self.actions.tolist(),
             "trajectory": np.round(self.trajectory, 4).tolist(),
         }
@@ -179,6 +184,7 @@ class PathResult:
             trajectory=np.array(values["trajectory"], dtype=np.float64).reshape(-1, 3),
             actions=np.array(values["actions"], dtype=np.int64),
             world_index=values.get("world_index", 0),
+            wheel_errors=tuple(values.get("wheel_errors", (0.0, 0.0))),
         )
 
 
@@ -526,6 +532,7 @@ def _drive_paths(
     )
     observation = simulator.reset(paths=local)
     starts, goals, phases = simulator.poses.copy(), simulator.goals.copy(), simulator.phases.copy()
+    wheel_errors = simulator.wheel_errors.copy()
     memory = None
     if "surroundings" in getattr(policy, "in_keys", ()):
         memory = Surroundings(len(paths), simulator.camera, lossy=simulator.sensor.loses_returns)
@@ -564,8 +571,11 @@ def _drive_paths(
             too_near=episode.too_near,
             phases=tuple(own[: len(dynamic_obstacles(all_worlds[path.world_index]))].tolist()),
             world_index=path.world_index,
+            wheel_errors=(float(errors[0]), float(errors[1])),
         )
-        for path, start, goal, own, episode in zip(paths, starts, goals, phases, episodes, strict=True)
+        for path, start, goal, own, errors, episode in zip(
+            paths, starts, goals, phases, wheel_errors, episodes, strict=True
+        )
     ]
 
 

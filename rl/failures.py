@@ -76,7 +76,8 @@ def explain(path: PathResult, world: World, camera: DepthCamera, frame_interval:
     middlemost = np.abs(columns - 0.5 * (camera.width - 1)).argmin()
     row, column = rows[middlemost], columns[middlemost]
     depth = float(planar[row, column])
-    point = _to_world(end, np.array([depth + camera.mount_x, depth * camera.column_slopes[column] + camera.mount_y]))
+    ahead, left = depth * camera.row_advances[row], depth * camera.column_slopes[column]
+    point = _to_world(end, np.array([ahead + camera.mount_x, left + camera.mount_y]))
     in_view = _in_view(point, path.trajectory[-2::-1], world, camera)  # the last image first
     seen = in_view[np.minimum(frame_interval * np.arange(NUM_FRAMES), len(in_view) - 1)]
     ago = int(in_view.argmax()) + 1 if in_view.any() else None
@@ -96,13 +97,13 @@ def _in_view(point: np.ndarray, poses: np.ndarray, world: World, camera: DepthCa
     cosine, sine = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     ahead = cosine * away[:, 0] + sine * away[:, 1] - camera.mount_x
     left = cosine * away[:, 1] - sine * away[:, 0] - camera.mount_y
-    slope = left / np.maximum(ahead, 1e-6)
+    slope = (left / np.maximum(ahead, 1e-6))[:, None] * camera.row_advances  # (K, H), sideways per depth
     slopes = camera.column_slopes
-    column = np.abs(slopes - slope[:, None]).argmin(axis=1)
+    column = np.abs(slopes - slope[..., None]).argmin(axis=-1)
     half_column = 0.5 * abs(float(slopes[1] - slopes[0]))
-    within = (ahead > 0.0) & (np.abs(slope) <= np.abs(slopes).max() + half_column)
-    depths = render_depth(world, poses, camera)[np.arange(len(poses)), :, column]
-    return within & (np.abs(depths - ahead[:, None]) < _SAME).any(axis=1)
+    within = (ahead > 0.0)[:, None] & (np.abs(slope) <= np.abs(slopes).max() + half_column)
+    depths = np.take_along_axis(render_depth(world, poses, camera), column[..., None], axis=-1)[..., 0]
+    return (within & (np.abs(depths * camera.row_advances - ahead[:, None]) < _SAME)).any(axis=1)
 
 
 def explain_all(evaluation: Evaluation, worlds: Sequence[World], camera: DepthCamera, interval: int) -> list[Failure]:

@@ -20,6 +20,8 @@ import navsim
 from navsim.check import check_file, check_files, check_text, summarise, unsolved
 from navsim.diagnostics import print_findings, print_reports
 from navsim.errors import WorldError
+from navsim.oddities import Equipment
+from navsim.robot import Robot
 from navsim.world import Box, Cylinder, Polygon, World
 from navsim.worldfile import parse_text, text_lines
 
@@ -279,6 +281,17 @@ def test_a_report_is_plain_data_for_json():
     assert len(data["summary"]["paths"]) == 6
     wrong = check_text(ROOM + "obstacles: [{box: {at: [1, 1], size: [1, 1]}}]\n").to_dict()
     assert (wrong["ok"], wrong["summary"], wrong["findings"][0]["where"]) == (False, None, ["obstacles", 0, "box"])
+
+
+def test_a_robot_that_is_too_wide_does_not_fit():
+    """The gap between the two boxes is 0.8 m wide."""
+    boxes = ", ".join(f"{{box: {{at: [0, {y}], size: [0.4, 2.6], height: 1}}}}" for y in (-1.7, 1.7))
+    text = f"format: 1\nsize: [6, 6]\nobstacles: [{boxes}]\nstarts: [[-2, 0]]\ngoals: [[2, 0]]\n"
+    report = check_text(text, equipment=Equipment(robot=Robot(radius=0.45)))
+    (finding,) = [one.text for one in report.findings if "gap of 0.80 m" in one.text]
+    assert finding.endswith("the robot (0.90 m wide) does not fit")
+    (path,) = json.loads(json.dumps(report.to_dict(), allow_nan=False))["summary"]["paths"]
+    assert path["length"] is None
 
 
 def printed(text: str, width: int = 80) -> str:

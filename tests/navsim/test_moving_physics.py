@@ -439,3 +439,19 @@ def test_a_small_robot_does_not_tunnel_either():
     physics = placed(make_world(walker([[-3, 0], [3, 0]], 10.0)), (0.0, 0.0, 0.0), robot=Robot(radius=0.03))
     touched = any(drive(physics, duration=0.02)[1] for _ in range(40))
     assert touched
+
+
+def test_spaces_of_worlds_that_were_not_used_for_long_are_let_go(monkeypatch):
+    monkeypatch.setattr("navsim.physics._MOST_SPACES", 3)
+    worlds = [make_world(walker([[1.0, 0.3 * i], [1.0, 3.0]])) for i in range(5)]
+    physics = Physics(worlds, 5)
+    physics.place(np.arange(5), np.arange(5), np.tile([0.7, 0.0, 0.0], (5, 1)))
+    for index, world in enumerate(worlds):  # the same one by one, each with a space of its own
+        alone = placed(world, (0.7, 0.0, 0.0))
+        if index == 0:
+            physics.drive(np.tile([0.4, 0.0], (5, 1)), CONTROL_PERIOD)
+        pose, bumper = drive(alone, 0.4)
+        np.testing.assert_array_equal(physics.poses[index], pose)
+        assert (physics.touched_solid[index] or physics.touched_pushable[index]) == bumper
+    assert 0 < len(physics._contact_spaces) <= 3
+    assert len(physics._spaces) <= 3

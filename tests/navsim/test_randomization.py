@@ -244,12 +244,17 @@ def test_a_randomised_run_resumes_from_its_state_bit_for_bit():
             assert got.tobytes() == expected.tobytes()
 
 
+def test_ranges_may_be_lists():
+    assert Randomization(noise_level=[1.0, 1.0], latency=[0, 2]) == Randomization(latency=(0, 2))
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
         ({"camera_height": (0.1, 0.0)}, "randomization camera_height must be two finite numbers, least and greatest"),
         ({"camera_left": (math.nan, 0.0)}, "randomization camera_left must be two finite numbers"),
         ({"camera_left": (0.1,)}, "randomization camera_left must be two finite numbers"),
+        ({"camera_left": 0.1}, "randomization camera_left must be two finite numbers"),
         ({"latency": (0, 1.5)}, "randomization latency must be two whole numbers of steps"),
         ({"latency": (-1, 2)}, "randomization latency must be two whole numbers of steps"),
         ({"noise_level": (-0.5, 1.0)}, "randomization noise_level must not be negative"),

@@ -101,3 +101,20 @@ def test_small_things_that_swing_stay_in_the_room(reach):
     world = World.from_dict({"format": 1, "size": [3.0, 3.0], "obstacles": [{"box": {**door, "motion": motion}}]})
     rooms = rearrange(world, 200, np.random.default_rng(1), GAP)  # each is checked as it is made
     assert sum(len(room.obstacles) for room in rooms) == 200
+
+
+def test_nothing_small_is_put_into_something_large():
+    world = World.from_dict(
+        {
+            "format": 1,
+            "size": [10, 10],
+            "obstacles": [
+                {"box": {"at": [-2.5, 0.0], "size": [4.5, 4.5], "height": 1.0}},
+                {"cylinder": {"at": [3.0, 0.0], "radius": 0.1, "height": 0.3}},
+            ],
+        }
+    )
+    rooms = [shapes(room) for room in rearrange(world, 40, np.random.default_rng(0), GAP)]
+    apart = [one.distance(other) for one, other in (room for room in rooms if len(room) == 2)]
+    assert len(apart) > 30
+    assert min(apart) > GAP - 0.02

@@ -62,10 +62,11 @@ def test_counts_agree_with_metres_to_one_count():
     assert np.abs(exact - counted).max() <= 0.5 * CAMERA.max_range / 255 + 1e-6
 
 
-def test_no_return_is_an_obstacle_in_the_blind_zone():
+@pytest.mark.parametrize("camera", [CAMERA, DepthCamera(mount_z=0.6)], ids=["the robot's", "above it"])
+def test_no_return_is_an_obstacle_in_the_blind_zone(camera):
     image = np.full((CAMERA.height, CAMERA.width), 255, dtype=np.uint8)
     image[30, 7] = 0
-    scan = obstacle_depth(image, CAMERA)
+    scan = obstacle_depth(image, camera)
     assert scan[7] == 0.0
     assert (np.delete(scan, 7) == CAMERA.max_range).all()
 

@@ -10,6 +10,7 @@ import pytest
 from navsim.camera import DepthCamera
 from navsim.raycast import render_depth
 from navsim.robot import INITIAL_COMMAND, NUM_ACTIONS, TURTLEBOT2, apply_actions, follow_arc
+from navsim.sensor import SensorModel
 from navsim.simulator import Observation, Simulator, Transition
 from navsim.task import Path, Task
 from navsim.world import World
@@ -433,3 +434,81 @@ def test_spaces_and_bodies_are_freed_with_the_last_reference_to_them(driven):
         assert len(of_pymunk()) == before
     finally:
         gc.enable()
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))])
+def test_a_copy_collides_like_what_it_is_a_copy_of(copied):
+    box = {"box": {"at": [1.2, 0.0], "size": [0.2, 2.0], "height": 1.0}}
+    can = {"cylinder": {"at": [-1.0, 1.0], "radius": 0.1, "height": 0.3, "pushable": {"mass": 1.0}}}
+    world = straight_world(box, can, start=(0.0, 0.0), goal=(3.0, 0.0))
+    one = Simulator(world, camera=SMALL, task=Task(collision_depth=0.0), seed=0)
+    one.reset()
+    while not one.step(np.array([FASTER])).collision[0]:  # now there is a space of Chipmunk's
+        pass
+    one.reset()
+    other = copied(one)
+    for _ in range(20):
+        ours, theirs = one.step(np.array([FASTER])), other.step(np.array([FASTER]))
+        np.testing.assert_array_equal(one.poses, other.poses)
+        for value, another in zip(ours, theirs, strict=True):
+            np.testing.assert_array_equal(value, another)
+        if ours.collision[0]:
+            return
+    pytest.fail("it has driven through the box")
+
+
+def test_a_reset_that_is_refused_changes_nothing():
+    worlds = [cluttered_world(0), cluttered_world(1), make_world(size=(0.8, 0.8), starts="random", goals="random")]
+    simulator = Simulator(worlds, 3, camera=SMALL, seed=0)
+    good = [Path(0, 0, 0), Path(1, 1, 1), Path(0, 0, 0)]
+    simulator.reset(paths=good)
+    simulator.step(np.full(3, FASTER))
+    before = simulator.state_dict()
+    for paths, message in (
+        ([Path(0, 0, 0), Path(99, 0, 1), Path(0, 0, 0)], "has no start 99"),
+        ([None, None, Path(-1, -1, 2)], "has no room for an episode"),
+        ([None, None, Path(0, 0, 9)], "is in world 9"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            simulator.reset(paths=paths)
+        assert_same_state(before, simulator.state_dict())
+
+
+def assert_same_state(one, other):
+    for key, value in one.items():
+        if isinstance(value, dict):
+            assert_same_state(value, other[key])
+        else:
+            np.testing.assert_array_equal(value, other[key])
+
+
+def test_a_state_of_other_settings_changes_nothing():
+    def walkers(*heights):
+        motion = {"path": [[-2.0, 2.0], [2.0, 2.0]], "speed": 0.5}
+        people = [{"cylinder": {"at": [-2.0, 2.0], "radius": 0.2, "height": h, "motion": motion}} for h in heights]
+        return straight_world(*people)
+
+    state = Simulator(walkers(1.7), camera=SMALL, seed=1).state_dict()
+    three = Simulator(walkers(1.5, 1.6, 1.7), camera=SMALL, seed=0)
+    late = Simulator(walkers(1.7), camera=SMALL, sensor=SensorModel(latency=2), seed=0)
+    for simulator, key in ((three, "physics.phases"), (late, "sensor.images")):
+        simulator.reset()
+        before = simulator.state_dict()
+        with pytest.raises(ValueError, match=f"the state's {key} is of shape"):
+            simulator.load_state_dict(state)
+        assert_same_state(before, simulator.state_dict())
+
+
+def test_paths_are_taken_as_worlds_list_them_and_names_of_worlds_are_not():
+    world = cluttered_world(0)
+    simulator = Simulator(world, camera=SMALL, seed=0)
+    simulator.reset(paths=[world.paths[3]])
+    assert simulator.paths == (Path(*world.paths[3]),)
+    with pytest.raises(TypeError, match=r"load_world\('complex_eval'\) reads one"):
+        Simulator("complex_eval")
+
+
+def test_a_tilted_camera_may_look_at_nothing_before_it_starts():
+    task = Task(collision_depth=0.0, start_view=0.0)
+    simulator = Simulator(cluttered_world(0), camera=DepthCamera(width=20, height=16, pitch_deg=5.0), task=task, seed=0)
+    assert simulator.reset().depth.any()

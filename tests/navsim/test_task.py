@@ -6,6 +6,7 @@ import shapely
 
 from navsim.camera import DepthCamera
 from navsim.places import START_CLEARANCE
+from navsim.planner import shortest_path_length
 from navsim.raycast import Scene, cast
 from navsim.robot import TURTLEBOT2
 from navsim.task import Episodes, Path, Task, goal_distance, heading, rewards
@@ -247,3 +248,34 @@ def test_a_world_without_room_says_so():
 def test_a_random_start_may_stand_under_what_is_above_the_robot():
     world = make_world({"box": {"at": [0, 0], "size": [7, 7], "base": 1.2, "height": 0.03}})
     assert len(drawn(world, 20)) == 20
+
+
+def test_places_on_an_open_floor_are_connected_as_ways_are_planned():
+    """A barrier longer than the rim around the floor is wide: no way leads around it."""
+    world = make_world(
+        {"box": {"at": [0.0, 0.0], "size": [0.2, 10.0], "height": 1.0}},
+        size=(4.0, 4.0),
+        walls="none",
+        starts="random",
+        goals="random",
+    )
+    ends = [(episode.pose[:2], episode.goal) for episode in drawn(world, 24)]
+    assert all(np.isfinite(shortest_path_length(world, start, goal)) for start, goal in ends)
+    assert {bool(start[0] > 0.0) for start, _ in ends} == {False, True}
+
+
+def test_a_start_that_is_never_wholly_free_is_not_looked_at_for_long(monkeypatch):
+    motion = {"path": [[0.6, -0.3], [0.6, 0.3]], "speed": 0.5}
+    pacing = {"cylinder": {"at": [0.6, -0.3], "radius": 0.1, "height": 1.7, "motion": motion}}
+    world = make_world(pacing, starts=[{"at": [0.0, 0.0], "yaw_deg": 0}], goals=[[3.0, 3.0]])
+    episodes, looks = episodes_of(world), []
+    views = episodes._views
+    monkeypatch.setattr(episodes, "_views", lambda *arguments: looks.append(1) or views(*arguments))
+    episode = episodes.draw(np.random.default_rng(0))
+    assert len(looks) < 100
+    assert views(episode.pose[None], episode.phases)[0] >= TASK.collision_depth
+
+
+def test_a_camera_that_sees_no_further_than_the_depth_rule_is_told_by_its_range():
+    with pytest.raises(ValueError, match=r"sees no further than its max_range of 0.45 m"):
+        Task(collision_depth=0.5).check_camera(DepthCamera(max_range=0.45))

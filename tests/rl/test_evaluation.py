@@ -145,6 +145,28 @@ def test_obstacles_of_an_evaluated_path_are_where_they_were():
         np.testing.assert_array_equal(poses[0], simulator.obstacle_poses[robot])
 
 
+def test_what_was_pushed_is_where_wheels_that_err_have_pushed_it():
+    can = {"cylinder": {"at": [-1.4, 0.0], "radius": 0.1, "height": 0.2, "pushable": {"mass": 1.0}}}
+    start = {"at": [-2.0, 0.0], "yaw_deg": 0}
+    world = World.from_dict({"format": 1, "size": [6, 6], "obstacles": [can], "starts": [start], "goals": [[2.5, 2.5]]})
+    settings = {
+        "task": replace(TASK, pushing_is_collision=False, collision_depth=0.0),
+        "randomization": Randomization(wheel_speed_error=(-0.08, 0.08)),
+    }
+    evaluation = drive(ahead, world, **settings, seed=1)
+    (path,) = evaluation.paths
+    simulator = Simulator(world, camera=CAMERA, seed=1, **settings)
+    simulator.reset(paths=[Path(0, 0)])
+    assert path.wheel_errors == tuple(simulator.wheel_errors[0])
+    for action in path.actions:
+        simulator.step(np.array([action]))
+    driven = simulator.obstacle_poses[0]
+    assert np.hypot(*(driven[0, :2] - (-1.4, 0.0))) > 0.3
+    (read,) = Evaluation.from_dict(json.loads(json.dumps(evaluation.to_dict()))).paths
+    for told, tolerance in ((path, 0.0), (read, 1e-3)):
+        np.testing.assert_allclose(told.obstacle_poses(world, settings["task"])[-1], driven, rtol=0, atol=tolerance)
+
+
 @pytest.mark.parametrize("policy", [ahead, circling])
 def test_a_path_is_driven_as_it_would_be_alone(policy):
     for path in drive(policy).paths:

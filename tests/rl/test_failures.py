@@ -112,3 +112,17 @@ def test_the_view_is_sixty_degrees_wide():
         world = room({"at": at, "size": [0.1, 0.1], "height": 1.0})
         seen = _in_view(np.array(at) - 0.05, np.array([[-2.0, 0.0, 0.0]] * 4), world, CAMERA)
         assert int(seen.sum()) == expected
+
+
+def test_what_a_tilted_camera_sees_is_where_it_is():
+    world = room({"at": [0.5, 0.0], "size": [0.3, 1.0], "height": 1.0})
+    camera = DepthCamera(pitch_deg=-20.0)
+    x = np.linspace(-1.0, -0.12, 12)  # straight towards the box's face at 0.35, by the depth rule's end
+    poses = np.column_stack([x, np.zeros((12, 2))])
+    path = PathResult(0, 0, (2.5, 2.5), "collision", 0.0, 3.0, poses, np.full(11, STRAIGHT), too_near=True)
+    failure = explain(path, world, camera)
+    assert failure.at[0] == pytest.approx(0.35, abs=1e-3)
+    assert (failure.seen, failure.ago) == (4, 1)
+    far = np.array([[-2.5, 0.0, 0.0]])
+    assert _in_view(np.array([0.35, 0.0]), far, world, camera).all()
+    assert not _in_view(np.array([0.15, 0.0]), far, world, camera).any()
