@@ -297,14 +297,19 @@ def arguments_of(config: TrainConfig) -> list[str]:
         if value == default or setting.name == "out":
             continue
         if dataclasses.is_dataclass(value):
-            raise ValueError(f"the {setting.name} of an ablation is the preset's")
-        if isinstance(value, bool):
-            told.append(f"--{flag}" if value else f"--no-{flag}")
-        elif isinstance(value, tuple):
-            told += [f"--{flag}", *map(str, value)]
+            for part in dataclasses.fields(value):
+                if getattr(value, part.name) != getattr(default, part.name):
+                    told += _option(f"{flag}.{part.name.replace('_', '-')}", getattr(value, part.name))
         else:
-            told += [f"--{flag}", str(value)]
+            told += _option(flag, value)
     return told
+
+
+def _option(flag: str, value: Any) -> list[str]:
+    if isinstance(value, bool):
+        group, _, name = flag.rpartition(".")
+        return [f"--{flag}" if value else f"--{group}{'.' if group else ''}no-{name}"]
+    return [f"--{flag}", *map(str, value if isinstance(value, tuple) else (value,))]
 
 
 def write_page(results: Path, page: Path) -> None:

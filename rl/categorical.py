@@ -21,7 +21,7 @@ from torchrl.modules import QValueActor
 
 from navsim.robot import NUM_ACTIONS
 from rl.joint import hidden_of_update
-from rl.loss import D3QNLoss
+from rl.loss import D3QNLoss, is_plain
 from rl.networks import D3QN, STREAM_WIDTH
 from rl.observation import DEPTH_AND_HEADING, DepthScale, HeadingInit, Input, Model, keys_of
 
@@ -155,7 +155,8 @@ class CategoricalD3QNLoss(D3QNLoss):
     Keyword Args: as for ``D3QNLoss``, without ``loss_function``.
 
     Raises:
-        ValueError: for an actor around another network.
+        ValueError: for an actor around another network, or one whose action values are not the means of its
+            distributions.
     """
 
     def __init__(self, q_actor: QValueActor, gamma: float = 0.99, **settings: Any) -> None:
@@ -163,6 +164,12 @@ class CategoricalD3QNLoss(D3QNLoss):
         network = q_actor.module[0].module
         if not isinstance(network, CategoricalD3QN):
             raise ValueError(f"CategoricalD3QNLoss needs a CategoricalD3QN in its actor; got {type(network).__name__}")
+        if not is_plain(network):
+            kind = "is symmetric" if network.symmetric else f"({type(network).__name__}) makes them in another way"
+            raise ValueError(
+                "CategoricalD3QNLoss teaches the distributions whose means are the action values, and this network "
+                f"{kind}; give a policy that goes on learning symmetric=False, and a network of your own to D3QNLoss"
+            )
 
     @dispatch
     def forward(self, tensordict: TensorDictBase) -> TensorDict:
@@ -181,19 +188,19 @@ class CategoricalD3QNLoss(D3QNLoss):
                 target_logits = target._logits(next_hidden)
                 choosing_logits = online._logits(choosing_hidden) if self.double_dqn else target_logits
 
-        rows = torch.arange(len(logits), device=logits.device)
+        rows, batch = torch.arange(len(logits), device=logits.device), tensordict.batch_size
         action = tensordict.get(keys.action).reshape(-1)
         with torch.no_grad():
             best = online.expectation(choosing_logits).argmax(-1)
-            reward = tensordict.get(("next", keys.reward))
-            terminated = tensordict.get(("next", keys.terminated))
-            steps = tensordict.get("steps_to_next_obs", torch.ones_like(reward))
-            discount = self.value_estimator.gamma ** steps.reshape(reward.shape) * ~terminated
+            reward = tensordict.get(("next", keys.reward)).reshape(-1, 1)
+            terminated = tensordict.get(("next", keys.terminated)).reshape(-1, 1)
+            steps = tensordict.get("steps_to_next_obs", torch.ones_like(reward)).reshape(-1, 1)
+            discount = self.value_estimator.gamma**steps * ~terminated
             returns = reward + discount * online.support
             wanted = project(target_logits[rows, best].softmax(-1), returns, online.support)
-            tensordict.set(keys.value, online.expectation(logits)[rows, action].unsqueeze(-1))
+            tensordict.set(keys.value, online.expectation(logits)[rows, action].reshape(*batch, 1))
 
-        cross_entropy = -(wanted * logits[rows, action].log_softmax(-1)).sum(-1)
+        cross_entropy = -(wanted * logits[rows, action].log_softmax(-1)).sum(-1).reshape(batch)
         tensordict.set(keys.priority, cross_entropy.detach().unsqueeze(-1))
         weights = self._maybe_get_priority_weight(tensordict)
         return TensorDict({"loss": self._reduce_loss(cross_entropy, tensordict=tensordict, weights=weights)})

@@ -267,6 +267,11 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
                 f"--rearrangements ({self.rearrangements}) needs --random-paths: listed starts and goals do not fit "
                 "rooms whose furniture was moved; set it to 0 to train on the listed ones"
             )
+        if self.random_paths and self.randomization.moves_starts:
+            yield (
+                "--randomization.start-distance and --randomization.start-turn-deg move listed starts, and training "
+                "draws starts anywhere; add --no-random-paths, or leave them out"
+            )
         if self.epsilon_end > self.epsilon_start:
             yield f"--epsilon-end ({self.epsilon_end}) must not exceed --epsilon-start ({self.epsilon_start})"
         if self.epsilon_least is not None and not 0.0 < self.epsilon_least <= self.epsilon_end:
@@ -274,6 +279,13 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
                 f"--epsilon-least ({self.epsilon_least}) must lie between 0 and --epsilon-end ({self.epsilon_end}), "
                 "or be None"
             )
+        if self.epsilon_least is not None and self.num_envs == 1:
+            yield (
+                f"--epsilon-least ({self.epsilon_least}) spreads shares of random actions over several robots, and "
+                f"--num-envs is 1; set it to None, and --epsilon-end ({self.epsilon_end}) to the share that is wanted"
+            )
+        if self.mirror and self.batch_size == 1:
+            yield "--mirror needs samples that can be halved, and --batch-size is 1; make it larger, or add --no-mirror"
         if self.loss_function == "categorical" and self.atoms < 2:
             yield f"--atoms must be at least 2; got {self.atoms}"
         for name in ("least_return", "greatest_return"):

@@ -241,7 +241,6 @@ class ByteConvolution(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         of_weight = sum((gradient[place].t() @ rows).to(ctx.precision) for place, rows in ctx.portions)
-        ctx.portions = []
         return None, of_weight, None, None
 
 

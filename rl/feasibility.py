@@ -11,6 +11,7 @@ from pathlib import Path
 import torch
 
 from navsim.errors import WorldError
+from navsim.oddities import Equipment, ended_at_once
 from navsim.planner import shortest_path_length
 from navsim.robot import TURTLEBOT2, Robot
 from navsim.world import Goal, Start, World
@@ -50,6 +51,7 @@ def obstacles(config: TrainConfig) -> Iterator[str]:
                 yield from _way_that_is_too_narrow(world, source, config.robot, config, "--eval-world")
             if source in config.world and not config.random_paths:
                 yield from _way_that_is_too_narrow(world, source, config.training_robot, config, "--world")
+                yield from _no_start_that_lasts(world, source, config)
     if config.device == "cuda" and not torch.cuda.is_available():
         yield NO_CUDA
     directory = config.directory.absolute()
@@ -102,6 +104,15 @@ def _way_that_is_too_narrow(world: World, source: str, robot: Robot, config: Tra
                 f"{remedy}, or choose another room ({option})"
             )
             return
+
+
+def _no_start_that_lasts(world: World, source: str, config: TrainConfig) -> Iterator[str]:
+    """The first of a world's listed starts, if episodes end in the first step at all of them."""
+    equipment = Equipment(config.training_robot, config.camera, config.training_task)
+    ended = list(ended_at_once(world, equipment))
+    if ended and len(ended) == len(world.starts):
+        margin = f", lower --margin ({config.margin:g})" if config.margin else ""
+        yield f"{source}: {ended[0]}{margin}, or draw paths (--random-paths)"
 
 
 def checkpoint_size(config: TrainConfig) -> int:

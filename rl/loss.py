@@ -6,7 +6,7 @@ import contextlib
 import copy
 import math
 import time
-from typing import Any, Literal
+from typing import Any, Literal, TypeGuard
 
 import torch
 from tensordict import TensorDict, TensorDictBase, TensorDictParams
@@ -140,7 +140,7 @@ class D3QNLoss(DQNLoss):
     def _values(self, observation: tuple[Tensor, ...], next_observation: tuple[Tensor, ...]) -> tuple[Tensor, Tensor]:
         """Online action values of s, ``(B, actions)``, and what s' is worth, ``(B, 1)``."""
         online, target = self._networks_of_weights()
-        if isinstance(online, D3QN) and isinstance(target, D3QN) and observation[0].ndim == 4:
+        if is_plain(online) and is_plain(target) and observation[0].ndim == 4:
             hidden, next_hidden, choosing_hidden = hidden_of_update(
                 online, target, observation, next_observation, double=self.double_dqn
             )
@@ -175,6 +175,17 @@ class D3QNLoss(DQNLoss):
 
     def _autocast(self, device: str) -> contextlib.AbstractContextManager[object]:
         return contextlib.nullcontext() if self.autocast is None else torch.autocast(device, dtype=self.autocast)
+
+
+def is_plain(network: nn.Module) -> TypeGuard[D3QN]:
+    """Whether a network's action values are its ``head`` of its ``hidden`` layers, which may then be made for s and s'
+    together: those of a symmetric policy, or of a subclass with a way of its own, are not."""
+    return (
+        isinstance(network, D3QN)
+        and not network.symmetric
+        and type(network).forward is D3QN.forward
+        and type(network).hidden is D3QN.hidden
+    )
 
 
 def fastest_autocast(device: str = "cpu") -> torch.dtype | None:

@@ -270,7 +270,7 @@ class D3QN(nn.Module):
                 rad/s; distances remembered around the robot, float32 ``(..., 36)``, metres.
 
         Raises:
-            ValueError: for images of another size, or if there is more or less than the network sees.
+            ValueError: for images of another size or format, or if there is more or less than the network sees.
         """
         observation: tuple[Tensor, ...] = (depth, heading, *others)
         if self.symmetric:
@@ -313,6 +313,11 @@ class D3QN(nn.Module):
             raise ValueError(
                 f"the network is for depth images of shape {self.image_shape} (frames, height, width);"
                 f" got {tuple(depth.shape[-3:])}"
+            )
+        if depth.dtype != torch.uint8:
+            raise ValueError(
+                f"depth images are uint8, 0 at the camera and 255 at its greatest range; got {depth.dtype}:"
+                " DepthCamera.to_uint8 makes them of metres"
             )
         depth, scalars = depth.reshape(-1, *self.image_shape), ((heading + math.pi) / (2.0 * math.pi)).reshape(-1, 1)
         if "heading" not in self.inputs:

@@ -36,7 +36,7 @@ def find_policy(
             or its absence, of what is no network.
     """
     if weights != "best" and (name.startswith(PREFIX) or name in BASELINES):
-        raise RunError(f"{name} is no run, which alone has last weights beside the best")
+        raise _no_last_weights(name)
     if name.startswith(PREFIX):
         policy, config = load_pretrained(name)
         return _symmetric(policy, symmetric), config
@@ -71,9 +71,12 @@ def load_policy(
         symmetric: as for ``find_policy``.
 
     Raises:
-        RunError: for a directory without a run, and for files that are missing, damaged or do not fit together.
+        RunError: for a directory without a run, for last weights of what is no run, and for files that are missing,
+            damaged or do not fit together.
     """
     if str(run).startswith(PREFIX):
+        if weights != "best":
+            raise _no_last_weights(str(run))
         return _symmetric(load_pretrained(str(run))[0], symmetric)
     opened = Run.open(Path(run))
     config = opened.config
@@ -90,6 +93,10 @@ def load_policy(
     policy = _symmetric(policy_of(actor.eval(), config), symmetric)
     policy.trained_as = config
     return policy
+
+
+def _no_last_weights(name: str) -> RunError:
+    return RunError(f"{name} is no run, which alone has last weights beside the best")
 
 
 def _symmetric(policy: QValueActor, wanted: bool | None) -> QValueActor:

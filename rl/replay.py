@@ -22,7 +22,7 @@ from torchrl.data.replay_buffers.storages import Storage
 from torchrl.envs.transforms import Compose, MultiStepTransform, Transform
 
 from rl.mirror import MirroredHalf
-from rl.observation import DEPTH_AND_HEADING, Input, history_length, keys_of
+from rl.observation import DEPTH_AND_HEADING, NUM_FRAMES, Input, check_inputs, history_length, keys_of
 
 PRIORITY_EXPONENT = 0.3
 """α of prioritised replay: 0.6 in Schaul et al. 2016 (arXiv 1511.05952), halved for squared errors."""
@@ -69,7 +69,8 @@ def make_replay(
         generator: of the sampled indices; by default, one seeded from torch's global generator.
 
     Raises:
-        ValueError: for a capacity, batch size, number of steps or interval below 1.
+        ValueError: for a capacity, batch size, number of steps or interval below 1, for inputs that there are not, and
+            for half a sample of one.
 
     Sampling from another thread than the one that extends (TorchRL's ``prefetch``) is not supported, and neither are
     several processes that write to it (``replay_buffer=`` of TorchRL's multi-process collectors): extend it with what
@@ -92,6 +93,9 @@ def make_replay(
     ):
         if value < 1:
             raise ValueError(f"{name} of a replay must be at least 1; got {value}")
+    check_inputs(inputs)
+    if mirror and batch_size < 2:
+        raise ValueError(f"half of each sample cannot be mirrored where it is of {batch_size}; use mirror=False")
     if generator is None:
         generator = torch.Generator().manual_seed(int(torch.randint(2**63 - 1, ())))
     storage = _ZeroedStorage(capacity)
@@ -141,6 +145,11 @@ class FrameStore:
     def __len__(self) -> int:
         """Images that there is room for."""
         return self._size
+
+    @property
+    def image_shape(self) -> tuple[int, int]:
+        """Height and width."""
+        return self._images.shape[1], self._images.shape[2]
 
     def reserve(self, count: int, held: Callable[[], Iterable[np.ndarray]]) -> np.ndarray:
         """Numbers for new images.
@@ -267,8 +276,7 @@ class SharedFrames(MultiStepTransform):
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase | None:
         """Records, one-dimensional and oldest first, of the steps whose n-step return is known by now."""
         steps = tensordict.select(*self._keys).to("cpu")
-        if steps.ndim == 1 and len(steps) > 1:
-            _refuse_one_step_of_many(steps)
+        self._refuse_misfits(steps)
         steps = steps.reshape(-1, steps.shape[-1])
         depth, next_depth = steps.pop("depth"), steps.pop(("next", "depth"))
         # A copy, as collectors may write their next batch into the same memory; and no lazy stack, of which a part that
@@ -284,6 +292,19 @@ class SharedFrames(MultiStepTransform):
             return None
         records = records.select(*self._keys, "steps_to_next_obs").transpose(0, 1).reshape(-1)
         return records[-self._storage.max_size :]
+
+    def _refuse_misfits(self, steps: TensorDictBase) -> None:
+        """Raises ValueError for what is no batch of streams of transitions with images of the replay's size."""
+        if not steps.ndim:
+            raise ValueError("a transition alone has no place in a stream; give batches (N, T), or (T,), to extend")
+        depth, wanted = steps["depth"], (NUM_FRAMES, *self._frames.image_shape)
+        if depth.dtype != torch.uint8 or depth.shape[-3:] != wanted:
+            raise ValueError(
+                f"the replay is for uint8 depth images of shape {wanted} (frames, height, width); got {depth.dtype} of"
+                f" shape {tuple(depth.shape[-3:])}: give make_replay the height and width of the environment's camera"
+            )
+        if steps.ndim == 1 and len(steps) > 1:
+            _refuse_one_step_of_many(steps)
 
     def _number(
         self,

@@ -16,7 +16,7 @@ from rl.baselines import make_baseline
 from rl.config import TrainConfig
 from rl.evaluation import Evaluation, evaluate_as_trained
 from rl.pretrained import pack_policy, read_policy
-from rl.run import Run
+from rl.run import Run, RunError
 
 PLACES: tuple[tuple[str, str, int | None], ...] = (
     ("`complex_eval`", "complex_eval", None),
@@ -54,12 +54,16 @@ def ship(
         the card.
 
     Raises:
-        RunError: for a run that lacks its weights, or is too large to ship.
+        RunError: for a run that lacks its weights, or has not been evaluated yet, or is too large to ship.
     """
+    if not run.evaluations.rows():
+        raise RunError(
+            f"{run.directory} has no evaluation yet, which the card tells of; train on (navsim train --resume)"
+        )
     packed = directory / f"{name}.safetensors"
     pack_policy(run, packed, weights=weights)
     policy, config = read_policy(packed)
-    reactive = make_baseline("reactive", config.camera)
+    reactive = make_baseline("reactive", config.camera, config.sensor)
     results = []
     for place, world, paths in PLACES:
         own, beside = (
@@ -90,7 +94,9 @@ def _card(
         robot_hours=int(last["step"]) * config.task.control_period / 3600.0,
         minutes=float(last["processor_seconds"]) / 60.0,
         processor=run.processor,
-        chosen="the last of the run" if weights == "last" else "those that did best in `complex_eval` during the run",
+        chosen="the last of the run"
+        if weights == "last"
+        else f"those that did best in `{config.eval_world}` during the run",
         sensor="an ideal depth sensor" if config.sensor == SensorModel() else "a noisy depth sensor",
         results=results,
     )

@@ -22,7 +22,6 @@ REACH = 2.0
 """Metres; what is farther away counts as free."""
 STEPS = 30
 """Images that are remembered, one a step of 0.2 s."""
-_COLUMNS_APART = 2  # of the images' columns, those that are remembered
 
 
 class Surroundings:
@@ -48,8 +47,8 @@ class Surroundings:
 
     def __init__(self, num_robots: int, camera: DepthCamera, *, lossy: bool = False) -> None:
         self._camera, self._lossy = camera, lossy
-        columns = len(range(0, camera.width, _COLUMNS_APART))
-        self._points = np.full((num_robots, STEPS, columns, 2), np.inf, dtype=np.float32)
+        self._columns = _remembered_columns(camera.width)
+        self._points = np.full((num_robots, STEPS, len(self._columns), 2), np.inf, dtype=np.float32)
         self._latest = 0
 
     def begin(self, depth: np.ndarray, poses: np.ndarray, mask: np.ndarray | None = None) -> None:
@@ -92,12 +91,12 @@ class Surroundings:
         return np.sqrt(nearest).reshape(-1, SECTORS)
 
     def _places(self, depth: np.ndarray, poses: np.ndarray) -> np.ndarray:
-        """``(N, W, 2)`` float32, where the columns of images see something; infinitely far where they do not."""
+        """``(N, columns, 2)`` float32, where columns of images see something; infinitely far where they do not."""
         ahead = obstacle_depth(depth, self._camera, lossy=self._lossy)
-        x, y = np.moveaxis(scan_points(ahead, self._camera)[:, ::_COLUMNS_APART], -1, 0)
+        x, y = np.moveaxis(scan_points(ahead, self._camera)[:, self._columns], -1, 0)
         cosine, sine = np.cos(poses[:, 2:3]), np.sin(poses[:, 2:3])
         places = np.stack([poses[:, 0:1] + cosine * x - sine * y, poses[:, 1:2] + sine * x + cosine * y], axis=-1)
-        places[ahead[:, ::_COLUMNS_APART] >= self._camera.max_range] = np.inf
+        places[ahead[:, self._columns] >= self._camera.max_range] = np.inf
         return places.astype(np.float32)
 
     def take(self, kept: np.ndarray) -> Surroundings:
@@ -113,6 +112,12 @@ class Surroundings:
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Goes on from ``state_dict``."""
         self._points, self._latest = np.array(state_dict["points"], dtype=np.float32), int(state_dict["latest"])
+
+
+def _remembered_columns(width: int) -> np.ndarray:
+    """Every other column from the sides inwards: of a mirrored image, they are the mirrored ones."""
+    from_side = np.arange(0, (width + 1) // 2, 2)
+    return np.union1d(from_side, width - 1 - from_side)
 
 
 def remembered_at_end(images: np.ndarray, poses: np.ndarray, camera: DepthCamera) -> np.ndarray:

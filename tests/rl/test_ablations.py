@@ -13,6 +13,11 @@ from small_runs import HALL, tiny_config
 
 import rl.ablations
 import rl.series
+from navsim.camera import DepthCamera
+from navsim.randomization import Randomization
+from navsim.robot import Robot
+from navsim.sensor import KINECT
+from navsim.task import Task
 from rl.ablations import ROWS, Row, arguments_of, run
 from rl.cli import main
 from rl.config import PRESETS
@@ -26,6 +31,23 @@ def test_each_row_is_trained_by_the_command_that_the_page_gives(name, tmp_path, 
     trained = []
     monkeypatch.setattr("rl.train.train", lambda config, **_: trained.append(config))
     config = ROWS[name].config(name, seed=4, directory=tmp_path)
+    assert main(["train", *arguments_of(config), "--out", str(config.out)]) == 0
+    assert trained == [config]
+
+
+def test_what_is_set_of_robot_camera_and_sensor_is_in_the_command(tmp_path, monkeypatch):
+    trained = []
+    monkeypatch.setattr("rl.train.train", lambda config, **_: trained.append(config))
+    config = dataclasses.replace(
+        PRESETS["fast"],
+        camera=DepthCamera(width=40, pitch_deg=5.0, depth="range"),
+        task=Task(pushing_is_collision=False, step_penalty=0.05),
+        robot=Robot(radius=0.2, linear_acceleration=1.5),
+        sensor=KINECT,
+        randomization=Randomization(camera_left=(-0.01, 0.01), latency=(0, 2)),
+        report=False,
+        out=tmp_path / "run",
+    )
     assert main(["train", *arguments_of(config), "--out", str(config.out)]) == 0
     assert trained == [config]
 

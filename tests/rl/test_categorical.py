@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torch import nn
+from torchrl.data import Categorical
 from torchrl.modules import DistributionalQValueActor, QValueActor
 from torchrl.objectives import DistributionalDQNLoss, SoftUpdate
 
@@ -167,3 +168,31 @@ def test_impossible_heads_are_refused():
         CategoricalD3QN(value_range=(1.0, 1.0))
     with pytest.raises(ValueError, match="needs a CategoricalD3QN"):
         CategoricalD3QNLoss(make_q_actor("I", HEIGHT, WIDTH))
+
+
+@pytest.mark.parametrize("shape", [(2, 8), (16, 1), (1, 16)])
+def test_batches_of_any_shape_are_learnt_from(shape):
+    torch.manual_seed(0)
+    loss = CategoricalD3QNLoss(actor(), gamma=0.9)
+    flat = batch(16)
+    flat["priority_weight"] = torch.rand(16)
+    shaped = flat.reshape(*shape).clone()
+    torch.testing.assert_close(loss(shaped)["loss"], loss(flat)["loss"])
+    for key in ("td_error", "chosen_action_value"):
+        assert shaped[key].shape == (*shape, 1)
+        torch.testing.assert_close(shaped[key].reshape(16, 1), flat[key])
+
+
+def test_a_network_whose_values_are_not_the_means_is_refused():
+    symmetric = actor()
+    symmetric.module[0].module.symmetric = True
+    with pytest.raises(ValueError, match="this network is symmetric; give a policy that goes on learning symmetric=F"):
+        CategoricalD3QNLoss(symmetric)
+
+    class Bolder(CategoricalD3QN):
+        def forward(self, *observation):
+            return 2.0 * super().forward(*observation)
+
+    network = Bolder("I", HEIGHT, WIDTH)
+    with pytest.raises(ValueError, match=r"\(Bolder\) makes them in another way"):
+        CategoricalD3QNLoss(QValueActor(network, in_keys=["depth", "heading"], spec=Categorical(7)))

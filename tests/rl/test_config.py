@@ -147,6 +147,12 @@ def test_every_setting_belongs_to_one_group_of_the_help():
             "randomization camera_height (0.0, 0.0) and camera_pitch_deg (0.0, 40.0) go too far: the camera sees",
         ),
         ({"randomization": Randomization(noise_level=(0.0, 2.0))}, "changes nothing without noise"),
+        (
+            {"randomization": Randomization(start_distance=(0.3, 0.5))},
+            "move listed starts, and training draws starts anywhere; add --no-random-paths",
+        ),
+        ({"num_envs": 1, "epsilon_least": 0.001}, "and --num-envs is 1; set it to None"),
+        ({"batch_size": 1}, "--mirror needs samples that can be halved, and --batch-size is 1"),
         ({"frame_interval": 0}, "--frame-interval must be positive"),
         (
             {"inputs": ()},

@@ -93,3 +93,14 @@ def test_a_pytorch_that_does_not_tell_of_amx_convolves_without_blocks(monkeypatc
     monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: "AVX512")
     monkeypatch.delattr(torch.cpu, "get_capabilities", raising=False)
     assert convolution.fastest_way(torch.device("cpu"), torch.bfloat16) == "library"
+
+
+@pytest.mark.usefixtures("_way")
+def test_gradients_can_be_asked_for_twice():
+    size, geometry = GEOMETRIES[0]
+    images = torch.randint(0, 256, (3, 4, *size), dtype=torch.uint8)
+    weight = torch.randn(5, 4 * geometry.kernel[0] * geometry.kernel[1], requires_grad=True)
+    value = convolve_bytes(images, weight, geometry).square().sum()
+    (one,) = torch.autograd.grad(value, weight, retain_graph=True)
+    (other,) = torch.autograd.grad(value, weight)
+    assert torch.equal(one, other)

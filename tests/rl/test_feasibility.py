@@ -198,3 +198,17 @@ def test_a_room_that_is_too_narrow_for_the_robot_is_refused_before_training(tmp_
     assert told.startswith(f"{path}: no way from starts[0] to goals[1] is wide and high enough for this robot")
     assert "--robot.radius 0.3" in told
     assert obstacles(eval_world=str(path), robot=Robot(radius=0.2)) == []
+
+
+def test_listed_starts_at_which_the_margin_ends_every_episode_are_refused(tmp_path):
+    room = tmp_path / "room.yaml"
+    text = "format: 1\nname: room\nsize: [6, 6]\ngoals: [[-2, -2]]\nstarts:\n  - {at: [2.6, 0], yaw_deg: 0}\n"
+    room.write_text(text)
+    settings = {"world": (str(room),), "random_paths": False, "rearrangements": 0}
+    assert obstacles(**settings, margin=0.0) == []
+    (problem,) = obstacles(**settings, margin=0.1)
+    assert problem.startswith(f"{room}: starts[0]: facing 0°, the robot sees something 0.49 m away")
+    assert problem.endswith("turn or move it, lower --margin (0.1), or draw paths (--random-paths)")
+    assert obstacles(**{**settings, "random_paths": True}, margin=0.1) == []
+    room.write_text(text + "  - {at: [0, 0], yaw_deg: 0}\n")  # episodes begin at the other one
+    assert obstacles(**settings, margin=0.1) == []

@@ -10,12 +10,12 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torch import nn
-from torchrl.data import OneHot
+from torchrl.data import Categorical, OneHot
 from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss, HardUpdate, SoftUpdate, ValueEstimators
 
 from rl.loss import D3QNLoss, fastest_autocast
-from rl.networks import make_q_actor
+from rl.networks import D3QN, make_q_actor
 
 HEIGHT, WIDTH = 20, 30
 
@@ -278,3 +278,22 @@ def test_actors_that_are_not_q_networks_with_categorical_actions_are_refused():
 
 def test_fastest_autocast_is_a_format_for_the_loss():
     assert fastest_autocast() in (None, torch.bfloat16)
+
+
+@pytest.mark.parametrize("kind", ["subclass", "symmetric"])
+def test_a_network_with_a_way_of_its_own_learns_by_it(kind):
+    class Tenfold(D3QN):
+        def forward(self, *observation):
+            return 10.0 * super().forward(*observation)
+
+    network = Tenfold("I", HEIGHT, WIDTH) if kind == "subclass" else D3QN("I", HEIGHT, WIDTH)
+    network.symmetric = kind == "symmetric"
+    actor = QValueActor(network, in_keys=["depth", "heading"], spec=Categorical(7))
+    batch = transitions(12)
+    ours, torchrl = D3QNLoss(actor), DQNLoss(actor, action_space="categorical", double_dqn=True)
+    one, other = ours(batch)["loss"], torchrl(batch.clone())["loss"]
+    torch.testing.assert_close(one, other)
+    for gradient, reference in zip(gradients(ours, one), gradients(torchrl, other), strict=True):
+        torch.testing.assert_close(gradient, reference, rtol=1e-4, atol=1e-5)
+    expected = actor(batch.select("depth", "heading"))["action_value"].gather(-1, batch["action"].unsqueeze(-1))
+    torch.testing.assert_close(batch["chosen_action_value"], expected)

@@ -306,6 +306,12 @@ def test_biases_of_a_heading_that_is_an_image_begin_at_zero(heading_init):
     assert all(not bias.any() for name, bias in network.named_parameters() if name.endswith("bias"))
 
 
+def test_images_in_metres_are_not_taken_for_counts():
+    depth, heading = observations(2, height=10, width=14)
+    with pytest.raises(ValueError, match=r"depth images are uint8, .* got torch.float32: DepthCamera.to_uint8 makes"):
+        D3QN("I", 10, 14)(depth / 255.0, heading)
+
+
 def test_settings_that_cannot_be_used_are_refused():
     with pytest.raises(ValueError, match="at least 14 x 10"):
         make_q_actor("I", height=9, width=80)

@@ -82,6 +82,12 @@ def test_shipped_policies_can_be_made_symmetric_and_baselines_cannot():
             find_policy("reactive", symmetric=wanted)
 
 
+@pytest.mark.parametrize("load", [load_policy, find_policy])
+def test_a_shipped_policy_has_no_last_weights(load):
+    with pytest.raises(RunError, match="pretrained:I is no run, which alone has last weights"):
+        load("pretrained:I", weights="last")
+
+
 def test_a_directory_without_a_run_is_named(tmp_path):
     with pytest.raises(RunError, match=r"empty is not a run's directory: it has no config\.json"):
         load_policy(tmp_path / "empty")

@@ -488,3 +488,22 @@ def test_data_that_cannot_be_stored_is_refused():
     begun_in_the_middle.rollout(5)
     with pytest.raises(ValueError, match="begins with images that differ"):
         make_replay(10, HEIGHT, WIDTH, batch_size=2, frame_interval=2).extend(begun_in_the_middle.rollout(3))
+
+
+def test_what_does_not_fit_the_replay_is_told():
+    with pytest.raises(ValueError, match="inputs must be some of depth, heading"):
+        make_replay(100, batch_size=8, inputs=("depth", "heading", "surrounding"))
+    with pytest.raises(ValueError, match="half of each sample cannot be mirrored where it is of 1"):
+        make_replay(100, batch_size=1, mirror=True)
+    batch = Environments(2).rollout(3)
+    other = make_replay(100, height=HEIGHT + 1, width=WIDTH, batch_size=8)
+    with pytest.raises(
+        ValueError, match=r"uint8 depth images of shape \(4, 4, 2\).* of shape \(4, 3, 2\): give make_rep"
+    ):
+        other.extend(batch)
+    replay = make_replay(100, height=HEIGHT, width=WIDTH, batch_size=8)
+    with pytest.raises(ValueError, match=r"got torch.float32"):
+        replay.extend(batch.clone().set("depth", batch["depth"].float()))
+    with pytest.raises(ValueError, match="a transition alone has no place in a stream"):
+        replay.add(batch[0, 0])
+    assert len(replay) == 0

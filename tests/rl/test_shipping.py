@@ -9,10 +9,11 @@ import torch
 from small_runs import HALL, tiny_config
 
 import rl.shipping
+from navsim.sensor import KINECT
 from rl.evaluation import evaluate
 from rl.learner import make_actor
 from rl.pretrained import read_policy
-from rl.run import Run, processor
+from rl.run import Run, RunError, processor
 from rl.shipping import ship
 
 
@@ -70,3 +71,22 @@ def test_the_card_of_a_robot_that_remembers_tells_what_that_needs(run, tmp_path)
     assert "mirror image" not in card
     assert "processor time (unknown)" in card
     assert "256 of these steps" in card
+
+
+def test_a_run_without_an_evaluation_is_refused_before_anything_is_written(run, tmp_path):
+    run.evaluations.path.unlink()
+    with pytest.raises(RunError, match=r"has no evaluation yet, which the card tells of; train on"):
+        ship(run, tmp_path / "shipped", "S")
+    assert not (tmp_path / "shipped").exists()
+
+
+def test_the_card_of_a_noisy_robot_tells_its_settings_and_where_it_did_best(tmp_path, monkeypatch):
+    monkeypatch.setattr(rl.shipping, "PLACES", ())
+    run = Run.create(tiny_config(tmp_path / "run", sensor=KINECT))
+    run.save_policy("policy", make_actor(run.config).state_dict())
+    row = {"step": 18_000, "seconds": 500.0, "processor_seconds": 120.0, "world": "hall"}
+    run.evaluations.append(row | dict.fromkeys(("success_rate", "collision_rate", "timeout_rate", "spl"), 0.5))
+    card = ship(run, tmp_path / "shipped", "S", weights="best").read_text(encoding="utf-8")
+    assert f"--sensor.axial-noise {KINECT.axial_noise}" in card
+    assert "a noisy depth sensor" in card
+    assert f"those that did best in `{HALL}` during the run" in card

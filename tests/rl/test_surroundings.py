@@ -22,8 +22,8 @@ from rl.env import NavEnv
 from rl.evaluation import evaluate
 from rl.surroundings import REACH, SECTORS, STEPS, Surroundings, remembered_at_end
 
-CAMERA = DepthCamera(width=23, height=16)
-"""Every second column, and none in the middle, on the edge of two sectors: what is remembered is symmetric."""
+CAMERA = DepthCamera(width=24, height=16)
+"""No column is in the middle, on the edge of two sectors: what is remembered is symmetric."""
 
 
 def plain_nearest(images: list[np.ndarray], poses: list[np.ndarray]) -> np.ndarray:
@@ -32,8 +32,9 @@ def plain_nearest(images: list[np.ndarray], poses: list[np.ndarray]) -> np.ndarr
     x, y, yaw = poses[-1]
     for image, (from_x, from_y, from_yaw) in list(zip(images, poses, strict=True))[-STEPS:]:
         scan = obstacle_depth(image, CAMERA)
-        for column in range(0, CAMERA.width, 2):
-            if scan[column] >= CAMERA.max_range:
+        for column in range(CAMERA.width):
+            from_side = min(column, CAMERA.width - 1 - column)
+            if from_side % 2 or scan[column] >= CAMERA.max_range:
                 continue
             ahead = scan[column] + CAMERA.mount_x
             left = scan[column] * CAMERA.column_slopes[column]
