@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from rl.evaluation import Evaluation, evaluate
     from rl.loss import D3QNLoss
     from rl.networks import make_q_actor, symmetric_policy
+    from rl.pilot import Pilot
     from rl.policies import load_policy
     from rl.replay import make_replay
     from rl.run import RunError
@@ -20,6 +21,7 @@ __all__ = [
     "D3QNLoss",
     "Evaluation",
     "NavEnv",
+    "Pilot",
     "RunError",
     "TrainConfig",
     "evaluate",
@@ -36,6 +38,7 @@ _MODULES = {
     "D3QNLoss": "rl.loss",
     "Evaluation": "rl.evaluation",
     "NavEnv": "rl.env",
+    "Pilot": "rl.pilot",
     "RunError": "rl.run",
     "TrainConfig": "rl.config",
     "evaluate": "rl.evaluation",

@@ -1,0 +1,102 @@
+"""A policy at the wheel of one robot takes the commands that it takes in an environment."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+import rl
+from navsim.camera import DepthCamera
+from navsim.robot import NUM_ACTIONS, apply_actions
+from navsim.sensor import KINECT, SensorModel
+from navsim.simulator import Simulator
+from navsim.worldfile import load_world
+from rl.config import TrainConfig
+from rl.env import NavEnv
+from rl.learner import make_actor
+from rl.pilot import Pilot
+from rl.policies import load_policy
+from rl.run import Run
+
+INPUTS = ("depth", "heading", "command", "surroundings")
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"inputs": ("depth", "heading"), "model": "S"},
+        {"inputs": INPUTS, "frame_interval": 3},
+        {"inputs": INPUTS, "sensor": KINECT},
+        {"inputs": INPUTS, "sensor": SensorModel(latency=2)},
+    ],
+    ids=["memoryless", "frames-apart", "lossy", "late"],
+)
+def test_commands_are_those_of_the_environment(tmp_path, settings):
+    torch.manual_seed(3)
+    run = Run.create(TrainConfig(camera=DepthCamera(width=20, height=14), out=tmp_path / "run", **settings))
+    run.save_policy("policy", make_actor(run.config).state_dict())
+    policy = load_policy(run.directory)
+    pilot = Pilot(policy)
+    env = NavEnv(
+        "complex_train",
+        1,
+        camera=run.config.camera,
+        sensor=run.config.sensor,
+        frame_interval=run.config.frame_interval,
+        surroundings=True,
+        seed=0,
+    )
+    simulator, driven, commands = env.simulator, 0, set()
+    state = env.reset()
+    for _ in range(120):
+        told = pilot.command(
+            state["depth"][0, -1].numpy(), simulator.poses[0], simulator.goals[0], simulator.image_poses[0]
+        )
+        state = env.step(policy(state))["next"]
+        assert told == tuple(simulator.commands[0].tolist())
+        commands.add(told)
+        driven += 1
+        if state["done"].item():
+            state = env.reset()
+            pilot.begin()
+    assert pilot.period == 0.2
+    assert len(commands) > 1
+    assert driven > 60
+
+
+def test_it_reaches_a_goal_from_images_in_metres():
+    world = load_world("simple_eval")
+    pilot = Pilot(rl.load_policy("pretrained:I"))
+    simulator = Simulator(world, camera=pilot.camera, seed=0)
+    simulator.reset()
+    for _ in range(500):
+        metres = simulator.ideal_depth[0].copy()
+        metres[metres >= pilot.camera.max_range] = np.inf
+        metres[metres < pilot.camera.blind_zone] = np.nan
+        command = pilot.command(metres, simulator.poses[0], simulator.goals[0])
+        moved = simulator.step(np.array([action_to(command, simulator.commands)]))
+        if (moved.terminated | moved.truncated)[0]:
+            break
+    assert moved.success[0]
+
+
+def action_to(command: tuple[float, float], before: np.ndarray) -> int:
+    """The action that makes a command ``(1, 2)`` another one."""
+    afterwards = apply_actions(before.repeat(NUM_ACTIONS, axis=0), np.arange(NUM_ACTIONS))
+    return int(np.flatnonzero((afterwards == command).all(axis=1))[0])
+
+
+def test_what_cannot_be_used_is_told():
+    pilot = Pilot(rl.load_policy("pretrained:I-memoryless"))
+    image = np.full((64, 80), 2.0)
+    for arguments, message in (
+        ((image.T, (0, 0, 0), (1, 1)), r"images of shape \(64, 80\); got \(80, 64\): resize them"),
+        ((image.astype(np.uint16), (0, 0, 0), (1, 1)), "got uint16: divide millimetres by 1000"),
+        ((image, (0, 0), (1, 1)), r"pose must be 3 finite numbers; got \(0, 0\)"),
+        ((image, (0, 0, 0), (np.nan, 1)), "goal must be 2 finite numbers"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            pilot.command(*arguments)
+    with pytest.raises(ValueError, match="a Pilot needs a policy that knows how it was trained"):
+        Pilot(rl.make_q_actor("I"))
