@@ -9,7 +9,7 @@ READY := $(VENV)/.ready
 help:
 	@echo "make install    create $(VENV) with all that the commands below need (they do it themselves)"
 	@echo "make train      train a robot, evaluate it in a room it has never seen, write runs/<name>/report.html"
-	@echo "                (7 to 15 minutes on two cores; ARGS='--model S --seed 1' passes settings; interrupted: run it again)"
+	@echo "                (8 to 30 minutes on two cores; ARGS='--model S --seed 1' passes settings; interrupted: run it again)"
 	@echo "make test       run the test suite"
 	@echo "make test-slow  run the checks that take longer"
 	@echo "make lint       check style and types"

@@ -206,7 +206,10 @@ def unsolved(
         start, goal = world.starts[i], world.goals[j]
         begun = _episodes(world, Path(i, j), equipment) if moves else _yaws_tried(start, goal)
         if begun and all(oracle.plan(pose, np.array(goal.at), phases) is None for pose, phases in begun):
-            text = f"the oracle, which knows the map, finds no way from starts[{i}]; widen the gaps or move one of them"
+            text = (
+                f"the oracle, which knows the map, finds no way from starts[{i}] that can be driven in an episode; "
+                "widen the gaps or move one of them"
+            )
             problems.append(Problem(("goals", j), text))
     return problems
 

@@ -17,7 +17,7 @@ from navsim.camera import DepthCamera
 from navsim.errors import Problem, key_path
 from navsim.passages import Passage, narrowest_passages
 from navsim.raycast import Scene, render_depth
-from navsim.robot import TURTLEBOT2, Robot
+from navsim.robot import ACTIONS, TURTLEBOT2, Robot
 from navsim.task import Episodes, NoFreeMomentError, Path, Task
 from navsim.world import Cylinder, Obstacle, Polygon, World
 
@@ -26,6 +26,7 @@ REACHING_OUT = 1e-3
 SAME_PLACE = 1e-6
 """Metres within which an outline that touches another one counts as inside it."""
 _MANY = 2_000  # obstacles
+_AS_EXACT = 5e-4  # radians: angles that are written with three digits and more
 _VIEWS = np.deg2rad(np.arange(-175.0, 181.0, 5.0))
 
 
@@ -74,7 +75,9 @@ def oddities(world: World, equipment: Equipment | None = None) -> list[Problem]:
         *_reaching_out(world),
         *_inside_others(world),
         *_out_of_sight(world, equipment),
+        *_radians(world),
         *_reached_at_once(world, equipment.task),
+        *_out_of_reach(world, equipment.task),
         *ended_at_once(world, equipment),
         *_never_free(world, equipment),
         *_narrow_ways(world, equipment),
@@ -148,6 +151,36 @@ def _out_of_sight(world: World, equipment: Equipment) -> Iterator[Problem]:
                 f"({unseen:.3g} m at most); it changes nothing"
             )
             yield Problem(("obstacles", i, obstacle.kind, "base"), text)
+
+
+def _radians(world: World) -> Iterator[Problem]:
+    """Angles that are eighths of a turn, if they are not meant in degrees."""
+    starts = () if isinstance(world.starts, str) else world.starts
+    placed = [
+        (("obstacles", i, one.kind, "yaw_deg"), getattr(one, "yaw_deg", 0.0)) for i, one in enumerate(world.obstacles)
+    ]
+    for where, yaw in [*placed, *((("starts", i, "yaw_deg"), one.yaw_deg or 0.0) for i, one in enumerate(starts))]:
+        eighths = round(yaw / (math.pi / 4.0))
+        if eighths and abs(yaw - eighths * math.pi / 4.0) < _AS_EXACT and abs(yaw) <= math.tau:
+            text = f"{yaw:g} is {45 * eighths} degrees in radians, and degrees are meant here; write {45 * eighths}?"
+            yield Problem(where, text)
+
+
+def _out_of_reach(world: World, task: Task) -> Iterator[Problem]:
+    """Goals that are farther away than the robot can drive in an episode."""
+    if isinstance(world.starts, str) or isinstance(world.goals, str):
+        return
+    reach = max(action.linear or 0.0 for action in ACTIONS) * task.control_period * task.max_steps
+    for j, goal in enumerate(world.goals):
+        far = [i for i, start in enumerate(world.starts) if math.dist(start.at, goal.at) - task.goal_radius > reach]
+        if far:
+            distance = math.dist(world.starts[far[0]].at, goal.at)
+            others = f" (and {len(far) - 1} more)" if far[1:] else ""
+            text = (
+                f"is {distance:.4g} m from {key_path(('starts', far[0]))}{others}: the robot drives {reach:g} m in the "
+                f"{task.max_steps} steps of an episode; move one of them, or allow more (--task.max-steps)"
+            )
+            yield Problem(("goals", j), text)
 
 
 def _reached_at_once(world: World, task: Task) -> Iterator[Problem]:

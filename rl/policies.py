@@ -12,7 +12,7 @@ from torchrl.modules import QValueActor
 from rl.baselines import BASELINES, Baseline, make_baseline
 from rl.config import TrainConfig
 from rl.learner import make_actor, policy_of, shapes_of_weights
-from rl.pretrained import PREFIX, load_pretrained
+from rl.pretrained import PREFIX, load_pretrained, pretrained_policies
 from rl.run import POLICY_FILES, Run, RunError
 from rl.weights import misfit
 
@@ -46,8 +46,14 @@ def find_policy(
         config = TrainConfig()
         return make_baseline(name, config.camera), config
     if not Run(name).exists:
-        meant = difflib.get_close_matches(name, BASELINES, n=1)
-        remedy = f'did you mean "{meant[0]}"?' if meant else f"name one, or a baseline: {', '.join(BASELINES)}"
+        shipped = pretrained_policies()
+        runs = [str(path) for path in Path(name).parent.glob("*") if Run(path).exists]
+        meant = difflib.get_close_matches(name, [*BASELINES, *shipped, *runs], n=1)
+        if meant:
+            remedy = f'did you mean "{PREFIX if meant[0] in shipped else ""}{meant[0]}"?'
+        else:
+            known = ", ".join([*(PREFIX + one for one in shipped), *BASELINES])
+            remedy = f"name one, or a policy that comes with the library: {known}"
         raise RunError(f"{name} is not a run's directory; {remedy}")
     return load_policy(name, weights=weights, symmetric=symmetric), Run(name).config
 

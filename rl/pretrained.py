@@ -46,9 +46,10 @@ def load_pretrained(name: str) -> tuple[QValueActor, TrainConfig]:
     name = name.removeprefix(PREFIX)
     known = pretrained_policies()
     if name not in known:
-        meant = difflib.get_close_matches(name, known, n=1, cutoff=0.4)
+        by_letters = {one.casefold(): one for one in known}
+        meant = difflib.get_close_matches(name.casefold(), by_letters, n=1, cutoff=0.4)
         others = f"there are: {', '.join(known)}" if known else "this version has none: name a run's directory"
-        remedy = f'did you mean "{PREFIX}{meant[0]}"?' if meant else others
+        remedy = f'did you mean "{PREFIX}{by_letters[meant[0]]}"?' if meant else others
         raise RunError(f'no policy "{PREFIX}{name}" comes with the library; {remedy}')
     return read_policy(_DIRECTORY / f"{name}.safetensors")
 

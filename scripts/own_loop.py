@@ -3,9 +3,11 @@
     python scripts/own_loop.py --out own_loop.pt --steps 40000
 
 A loss of your own goes in the place of ``D3QNLoss``; TorchRL's ``DQNLoss(actor, double_dqn=True, delay_value=True,
-action_space="categorical")`` takes the same samples. A network of your own, any module of depth images ``(..., 4, 64,
+action_space="categorical")`` takes the same samples, if ``loss.make_value_estimator(gamma=0.97)`` gives it the replay's
+discount. A network of your own, any module of depth images ``(..., 4, 64,
 80)`` uint8 and headings ``(..., 1)``, radians, that returns the seven actions' values ``(..., 7)``, goes into
-``QValueActor(network, in_keys=["depth", "heading"], spec=env.action_spec_unbatched)``.
+``QValueActor(network, in_keys=["depth", "heading"], spec=env.action_spec_unbatched)``. docs/own_code.md has more, and
+how to use what was learnt.
 """
 
 from pathlib import Path
@@ -37,7 +39,8 @@ def learn(
         eval_world: World to drive in afterwards.
         steps: Transitions to learn from.
         num_envs: Robots that drive at once.
-        seed: Of rooms, starts, goals, exploration and network.
+        seed: Of starts, goals, exploration and network; rooms are others with a seed of their own, as in
+            generate:clutter,count=100,seed=7.
     """
     out.parent.mkdir(parents=True, exist_ok=True)
     torch.set_flush_denormal(True)  # else Adam gets slower as units fall silent: docs/performance.md

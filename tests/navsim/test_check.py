@@ -133,6 +133,14 @@ ODD = {
         "starts: [{at: [3.2, 0], yaw_deg: 0}]",
         ("{at: [3.2, 0], yaw_deg: 0}", "facing 0°, the robot sees something 0.39 m away: the depth rule (0.4 m) ends"),
     ),
+    "radians": (
+        "obstacles: [{box: {at: [1, 1], size: [1, 0.5], height: 1, yaw_deg: 1.571}}]",
+        ("1.571", "1.571 is 90 degrees in radians, and degrees are meant here; write 90?"),
+    ),
+    "radians of a start": (
+        "starts: [{at: [0, 0], yaw_deg: -2.3562}]",
+        ("-2.3562", "-2.3562 is -135 degrees in radians"),
+    ),
     "a narrow way": (
         "obstacles:\n  - box: {name: n, at: [0, 2], size: [0.1, 3], height: 1}\n"
         "  - box: {name: s, at: [0, -1.8], size: [0.1, 3.4], height: 1}\nstarts: [[-2, 0], [-2, 2], [2, 2]]\n"
@@ -162,13 +170,21 @@ def test_what_is_odd_is_told(text, expected):
         "  - cylinder: {at: [0.5, 1.5], radius: 0.2, height: 0.5}",
         "obstacles: [{box: {at: [3.25, 0], size: [0.5, 1], height: 1}}]",
         "obstacles: [{box: {at: [1, 1], size: [1, 1], base: 2.4, height: 1}}]",
-        "starts: [{at: [3.2, 0], yaw_deg: 90}, [3.2, 1]]",
+        "starts: [{at: [3.2, 0], yaw_deg: 90}, [3.2, 1], {at: [0, 0], yaw_deg: 3}, {at: [0, 0], yaw_deg: 1.5}]",
         "obstacles:\n  - box: {at: [0, 2.1], size: [0.1, 2.8], height: 1}\n"
         "  - box: {at: [0, -1.8], size: [0.1, 3.4], height: 1}\nstarts: [[-2, 0]]\ngoals: [[2, 0]]",
     ],
 )
 def test_what_is_not_odd_is_not_told(text):
     assert marked(f"{ROOM}{text}\n") == []
+
+
+def test_a_goal_beyond_what_can_be_driven_in_an_episode_is_told():
+    hall = "format: 1\nsize: [60, 8]\nstarts: [[-28, 0], [0, 0], [-28, 2]]\ngoals: [[28, 0]]\n"
+    ((severity, underlined, message),) = marked(hall)
+    assert (severity, underlined) == ("warning", "[28, 0]")
+    assert "is 56 m from starts[0] (and 1 more): the robot drives 40 m in the 500 steps of an episode" in message
+    assert marked(hall.replace("[28, 0]", "[12.4, 0]")) == []  # 40.4 m, of which 0.5 m need not be driven
 
 
 WALKER = "{cylinder: {at: [-2.6, 0], radius: 0.2, height: 1, motion: {path: [[-2.6, 0], [-2.6, 3]], speed: 0.5}}}"
@@ -223,8 +239,16 @@ def test_paths_are_solved_when_asked_for_and_yaws_are_tried(monkeypatch):
     text = ROOM + "starts: [{at: [0, 0], yaw_deg: 90}, [0, -2]]\ngoals: [[2, 2], [-2, 0]]\n"
     report = check_text(text, solve=True)
     assert [(one.line, one.severity, one.text.split(";")[0]) for one in report.findings] == [
-        (4, "warning", "goals[0]: the oracle, which knows the map, finds no way from starts[0]"),
-        (4, "warning", "goals[0]: the oracle, which knows the map, finds no way from starts[1]"),
+        (
+            4,
+            "warning",
+            "goals[0]: the oracle, which knows the map, finds no way from starts[0] that can be driven in an episode",
+        ),
+        (
+            4,
+            "warning",
+            "goals[0]: the oracle, which knows the map, finds no way from starts[1] that can be driven in an episode",
+        ),
     ]
     assert len(tried) == 1 + 1 + 8 + 1
     assert check_text(text).findings == ()

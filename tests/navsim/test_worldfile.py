@@ -301,7 +301,6 @@ def test_an_empty_file_is_told_what_a_world_needs(text):
         ("goals: [[1, 2]\nstarts: random\n", "4:1"),
         ("name: 'lab\n", "4:1"),
         ("a: b: c\n", "3:5"),
-        ("\tname: x\n", "3:1"),
         ("  name: x\n", "3:3"),
         ("- 1\n", "3:1"),
     ],
@@ -310,6 +309,11 @@ def test_what_is_not_yaml_is_told_with_its_place_and_a_remedy(text, place):
     problem = problem_of(ROOM + text)
     assert problem.startswith(f"room.yaml:{place}: not YAML: ")
     assert problem.endswith("check the brackets, quotes, colons and indentation before this place")
+
+
+@pytest.mark.parametrize(("text", "place"), [("\tname: x\n", "3:1"), ("robots:\n \ta: 1\n", "4:2")])
+def test_a_tab_is_named(text, place):
+    assert problem_of(ROOM + text) == f"room.yaml:{place}: not YAML: a tab; YAML is indented with spaces"
 
 
 def test_bytes_that_are_not_utf_8_are_told_with_their_place():

@@ -88,6 +88,24 @@ def test_a_shipped_policy_has_no_last_weights(load):
         load("pretrained:I", weights="last")
 
 
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("I", 'did you mean "pretrained:I"?'),
+        ("pretrained:i", 'did you mean "pretrained:I"?'),
+        ("oracel", 'did you mean "oracle"?'),
+        ("runs/fast-I-cafe", 'did you mean "runs/fast-I-cafe-seed0"?'),
+        ("nonsense", "comes with the library: pretrained:I, pretrained:I-memoryless, pretrained:S, random, straight"),
+    ],
+)
+def test_what_there_is_is_named_beside_what_there_is_not(tmp_path, monkeypatch, name, told):
+    monkeypatch.chdir(tmp_path)
+    Run.create(TrainConfig(out=tmp_path / "runs" / "fast-I-cafe-seed0"))
+    with pytest.raises(RunError) as refusal:
+        find_policy(name)
+    assert told in str(refusal.value)
+
+
 def test_a_directory_without_a_run_is_named(tmp_path):
     with pytest.raises(RunError, match=r"empty is not a run's directory: it has no config\.json"):
         load_policy(tmp_path / "empty")
