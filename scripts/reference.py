@@ -5,6 +5,8 @@ python scripts/reference.py
 
 from pathlib import Path
 
+import tyro
+
 from navsim.schema import reference, schema_text
 
 BEGIN, END = "<!-- reference: written by scripts/reference.py -->\n\n", "\n<!-- end of the reference -->\n"
@@ -12,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def main() -> None:
-    """Replaces what stands between the two marks of the page, and the schema."""
+    """Write the format reference in docs/worlds.md, between its two marks, and the schema in worlds/ anew."""
     page = ROOT / "docs" / "worlds.md"
     before, _, rest = page.read_text(encoding="utf-8").partition(BEGIN)
     page.write_text(before + BEGIN + reference() + END + rest.partition(END)[2], encoding="utf-8")
@@ -20,4 +22,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main)
