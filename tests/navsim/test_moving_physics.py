@@ -443,7 +443,7 @@ def test_a_small_robot_does_not_tunnel_either():
 
 def test_spaces_of_worlds_that_were_not_used_for_long_are_let_go(monkeypatch):
     monkeypatch.setattr("navsim.physics._MOST_SPACES", 3)
-    worlds = [make_world(walker([[1.0, 0.3 * i], [1.0, 3.0]])) for i in range(5)]
+    worlds = [make_world(walker([[1.0 + 0.02 * i, 0.1], [1.0, 3.0]])) for i in range(5)]
     physics = Physics(worlds, 5)
     physics.place(np.arange(5), np.arange(5), np.tile([0.7, 0.0, 0.0], (5, 1)))
     for index, world in enumerate(worlds):  # the same one by one, each with a space of its own

@@ -265,10 +265,10 @@ def test_places_on_an_open_floor_are_connected_as_ways_are_planned():
 
 
 def test_a_start_that_is_never_wholly_free_is_not_looked_at_for_long(monkeypatch):
-    motion = {"path": [[0.6, -0.3], [0.6, 0.3]], "speed": 0.5}
-    pacing = {"cylinder": {"at": [0.6, -0.3], "radius": 0.1, "height": 1.7, "motion": motion}}
+    motion = {"path": [[0.9, -0.2], [0.9, 0.2]], "speed": 0.5}
+    pacing = {"cylinder": {"at": [0.9, -0.2], "radius": 0.2, "height": 1.7, "motion": motion}}
     world = make_world(pacing, starts=[{"at": [0.0, 0.0], "yaw_deg": 0}], goals=[[3.0, 3.0]])
-    episodes, looks = episodes_of(world), []
+    episodes, looks = Episodes(world, 0, Scene([world.fixed_prisms]), CAMERA, TASK, TURTLEBOT2), []
     views = episodes._views
     monkeypatch.setattr(episodes, "_views", lambda *arguments: looks.append(1) or views(*arguments))
     episode = episodes.draw(np.random.default_rng(0))
