@@ -234,18 +234,8 @@ class Sensor:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Goes on from a ``state_dict`` of as many robots with the same settings.
-
-        Raises:
-            ValueError: for images of another size or another greatest latency.
-        """
-        images = np.array(state["images"], dtype=np.uint8)
-        if images.shape != self._images.shape:
-            raise ValueError(
-                f"the state holds images of shape {images.shape}, but this sensor keeps {self._images.shape}: create "
-                "the simulator with the same camera, sensor and randomization"
-            )
-        self._images = images
+        """Goes on from a ``state_dict`` of as many robots with the same settings; the simulator has checked them."""
+        self._images = np.array(state["images"], dtype=np.uint8)
         self.latency = np.array(state["latency"], dtype=np.intp)
         self.noise_level = np.array(state["noise_level"], dtype=np.float32)
         for generator, generator_state in zip(self._generators, state["generators"], strict=True):

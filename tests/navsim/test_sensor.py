@@ -353,7 +353,7 @@ def test_a_noisy_run_resumes_from_its_state_bit_for_bit():
 def test_a_state_of_another_sensor_is_refused():
     world = room()
     state = Simulator(world, 2, seed=0, **NOISY).state_dict()
-    with pytest.raises(ValueError, match="create the simulator with the same camera, sensor and randomization"):
+    with pytest.raises(ValueError, match="create it with the same worlds, camera, sensor and randomization"):
         Simulator(world, 2, camera=NOISY["camera"]).load_state_dict(state)
 
 
