@@ -497,9 +497,10 @@ class _Document:
             found = " ".join(filter(None, (error.problem, error.context)))
             if error.context and error.context_mark is not None:
                 found += f" that begins in line {error.context_mark.line + 1}"
-            if "\t" in lines[line - 1][: column + 1]:
-                found, remedy = "a tab", "YAML is indented with spaces"
-                self.problems.append(_Located(line, lines[line - 1].index("\t") + 1, f"not YAML: {found}; {remedy}"))
+            indentation = lines[line - 1][: -len(lines[line - 1].lstrip()) or None]
+            if "\t" in indentation:
+                place = indentation.index("\t") + 1
+                self.problems.append(_Located(line, place, "not YAML: a tab; YAML is indented with spaces"))
                 self.refuse([])
         remedy = "check the brackets, quotes, colons and indentation before this place"
         self.problems.append(_Located(line, column, f"not YAML: {found}; {remedy}"))

@@ -314,6 +314,7 @@ def test_what_is_not_yaml_is_told_with_its_place_and_a_remedy(text, place):
 @pytest.mark.parametrize(("text", "place"), [("\tname: x\n", "3:1"), ("robots:\n \ta: 1\n", "4:2")])
 def test_a_tab_is_named(text, place):
     assert problem_of(ROOM + text) == f"room.yaml:{place}: not YAML: a tab; YAML is indented with spaces"
+    assert "a tab" not in problem_of(ROOM + "name:\ta: b\n")
 
 
 def test_bytes_that_are_not_utf_8_are_told_with_their_place():
