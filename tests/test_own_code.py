@@ -17,6 +17,8 @@ TEXT = PAGE.read_text(encoding="utf-8")
 
 def test_the_examples_run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    filmed = {}  # drawing films takes long, and is tested where it is
+    monkeypatch.setattr("rl.drive.animate_episode", lambda path, world, poses, goal, **_: filmed.update(path=path))
     torch.manual_seed(0)
     names: dict = {}
     blocks = re.findall(r"^```python\n(.*?)^```", TEXT, re.MULTILINE | re.DOTALL)
@@ -27,7 +29,7 @@ def test_the_examples_run(tmp_path, monkeypatch, capsys):
     assert "torch.Size([4, 10, 4, 64, 80])" in told
     assert "torch.Size([4, 10, 1])" in told
     assert "torch.Size([2, 4, 1, 181])" in told
-    assert (tmp_path / "own.gif").stat().st_size > 10_000
+    assert filmed == {"path": Path("own.gif")}
     assert names["forward"] in (0.2, 0.4)
 
     sample = names["replay"].sample()
