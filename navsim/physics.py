@@ -22,7 +22,7 @@ simulation resumes from arrays, and a robot moves in the same way whether it is 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -296,27 +296,18 @@ class Physics:
         return near
 
     def _contact_space(self, world: int) -> ContactSpace:
-        return _used(self._contact_spaces, world) or _keep(
-            self._contact_spaces, world, ContactSpace(self.worlds[world], self.robot)
-        )
+        return _recent(self._contact_spaces, world, lambda: ContactSpace(self.worlds[world], self.robot))
 
     def _space(self, world: int) -> _Space:
-        return _used(self._spaces, world) or _keep(self._spaces, world, _Space(self.worlds[world], self.robot))
+        return _recent(self._spaces, world, lambda: _Space(self.worlds[world], self.robot))
 
 
-def _used(spaces: dict[int, _Kept], world: int) -> _Kept | None:
-    """The space of a world, which becomes the last of them, being the one used last."""
-    if world in spaces:
-        spaces[world] = spaces.pop(world)
-    return spaces.get(world)
-
-
-def _keep(spaces: dict[int, _Kept], world: int, space: _Kept) -> _Kept:
-    """Adds a space, and lets the one go that has not been used for longest where there are too many."""
-    spaces[world] = space
+def _recent(spaces: dict[int, _Kept], world: int, make: Callable[[], _Kept]) -> _Kept:
+    """A world's space, of those that are kept or new; the one that was not used for longest goes if there are many."""
+    spaces[world] = spaces.pop(world, None) or make()  # the one used last is the last
     if len(spaces) > _MOST_SPACES:
         del spaces[next(iter(spaces))]
-    return space
+    return spaces[world]
 
 
 def obstacle_poses_along(
