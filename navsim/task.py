@@ -53,6 +53,8 @@ class Task:
     without δt."""
     step_penalty: float = 0.01
     """What is taken from the reward of any other step."""
+    length_penalty: float = 0.0
+    """What is taken from it for each metre driven besides, v·δt: what makes shorter ways worth more."""
     control_period: float = 0.2
     """Time from one action to the next, δt, seconds."""
     substep: float = 0.02
@@ -71,7 +73,7 @@ class Task:
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0.0):
                 raise ValueError(f"task {name} must be a finite number of metres, at least 0; got {value!r}")
-        for name in ("goal_reward", "collision_reward", "progress_weight", "step_penalty"):
+        for name in ("goal_reward", "collision_reward", "progress_weight", "step_penalty", "length_penalty"):
             if not math.isfinite(getattr(self, name)):
                 raise ValueError(f"task {name} must be a finite number; got {getattr(self, name)!r}")
         if not isinstance(self.pushing_is_collision, bool):
@@ -141,8 +143,9 @@ def rewards(
     [0.07000000029802322]
     """
     progress = task.progress_weight * task.control_period * linear_commands * np.cos(headings)
+    cost = task.step_penalty + task.length_penalty * task.control_period * np.abs(linear_commands)
     ended = np.where(success, task.goal_reward, task.collision_reward)
-    return np.where(success | collision, ended, progress - task.step_penalty).astype(np.float32)
+    return np.where(success | collision, ended, progress - cost).astype(np.float32)
 
 
 class NoFreeMomentError(ValueError):

@@ -179,7 +179,8 @@ def return_bound(task: Task, gamma: float) -> float:
     if gamma >= 1.0:
         return math.inf
     fastest = max(abs(action.linear or 0.0) for action in ACTIONS)
-    step = abs(task.progress_weight) * task.control_period * fastest + abs(task.step_penalty)
+    metre = abs(task.progress_weight) + abs(task.length_penalty)
+    step = metre * task.control_period * fastest + abs(task.step_penalty)
     return max(step / (1.0 - gamma), abs(task.goal_reward), abs(task.collision_reward)) or math.inf
 
 

@@ -61,9 +61,17 @@ def test_reward_is_that_of_the_thesis():
 
 
 def test_every_term_of_the_reward_is_a_setting():
-    task = Task(goal_reward=10.0, collision_reward=-5.0, progress_weight=5.0, step_penalty=0.1, control_period=0.2)
-    result = rewards(task, np.full(3, 0.4), np.zeros(3), np.array([1, 0, 0], bool), np.array([0, 1, 0], bool))
-    np.testing.assert_allclose(result, [10.0, -5.0, 0.4 - 0.1], rtol=1e-6)
+    task = Task(
+        goal_reward=10.0,
+        collision_reward=-5.0,
+        progress_weight=5.0,
+        step_penalty=0.1,
+        length_penalty=0.25,
+        control_period=0.2,
+    )
+    speeds = np.array([0.4, 0.4, 0.4, 0.2])
+    result = rewards(task, speeds, np.zeros(4), np.array([1, 0, 0, 0], bool), np.array([0, 1, 0, 0], bool))
+    np.testing.assert_allclose(result, [10.0, -5.0, 0.4 - 0.1 - 0.02, 0.2 - 0.1 - 0.01], rtol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -298,6 +298,8 @@ def test_the_bound_of_returns_is_that_of_the_best_and_the_worst_robot():
     away_forever = sum((-5.0 * 0.2 * 0.4 - 0.02) * 0.9**step for step in range(1000))
     assert return_bound(task, 0.9) == pytest.approx(-away_forever)
     assert return_bound(task, 0.1) == 3.0
+    dear = replace(task, length_penalty=0.5)
+    assert return_bound(dear, 0.9) == pytest.approx(-away_forever + 0.5 * 0.4 * 0.2 / (1.0 - 0.9))
     assert return_bound(replace(task, collision_reward=-7.0), 0.1) == 7.0
     assert return_bound(task, 1.0) == float("inf")
     still = Task(goal_reward=0.0, collision_reward=0.0, progress_weight=0.0, step_penalty=0.0)
