@@ -50,6 +50,7 @@ ANIMATION_SUFFIXES = (".gif", ".mp4")
 _SIZE, _DPI = (9.6, 5.2), 100  # inches and dots an inch: 960 x 520 pixels, both even as MP4 needs them
 _OTHER_BARS = "#b9c0c8"
 _REMEMBERED = "#c05621"
+_MOST_GIF_FRAMES = 50.0  # a second
 _HOLD = 1.0  # seconds that the last frame stays
 
 
@@ -373,12 +374,15 @@ def _mp4(images: list[np.ndarray], frame_rate: float) -> bytes:
 
 
 def _gif(images: list[np.ndarray], frame_rate: float) -> bytes:
+    # A GIF counts hundredths of a second, and browsers play what lasts less than two of them slowly.
+    every = max(1, math.ceil(frame_rate / _MOST_GIF_FRAMES - 1e-9))
+    images, frame_rate = images[::-1][::every][::-1], frame_rate / every  # the last one stays
     # One palette for all frames: it is quick to apply, and what stands still stays the same from frame to frame, so
     # that a GIF stores only what changes.
     sample = np.concatenate(images[:: max(1, len(images) // 6)])
     palette = Image.fromarray(sample).quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     indexed = [Image.fromarray(image).quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
-    duration = round(1000.0 / frame_rate)  # milliseconds
+    durations = 10 * np.diff(np.rint(100.0 / frame_rate * np.arange(len(images) + 1)).astype(int))
     film = io.BytesIO()
-    indexed[0].save(film, "GIF", save_all=True, append_images=indexed[1:], duration=duration, loop=0)
+    indexed[0].save(film, "GIF", save_all=True, append_images=indexed[1:], duration=durations.tolist(), loop=0)
     return film.getvalue()

@@ -121,6 +121,25 @@ class Report:
         return data
 
 
+class UnreadableError(WorldError):
+    """A world file that there is not, or that cannot be read.
+
+    Args:
+        source: the file.
+        error: why.
+    """
+
+    def __init__(self, source: str, error: WorldError) -> None:
+        super().__init__(error.problems, error.findings)
+        self.source = source
+
+    def to_dict(self) -> dict[str, Any]:
+        """As :meth:`Report.to_dict`: the reasons are findings in line 1."""
+        findings = self.findings or [Finding(1, 1, 2, problem) for problem in self.problems]
+        told = [{**one._asdict(), "where": list(one.where)} for one in findings]
+        return {"file": self.source, "ok": False, "findings": told, "summary": None}
+
+
 def check_file(
     path: str | os.PathLike[str],
     *,
@@ -139,13 +158,13 @@ def check_file(
 
 def check_files(
     paths: Iterable[str | os.PathLike[str]], *, solve: bool = False, progress: Progress = lambda items, total: items
-) -> Iterator[Report | WorldError]:
+) -> Iterator[Report | UnreadableError]:
     """A report for each of ``paths``, or why it cannot be read; see :func:`check_text`."""
     for path in paths:
         try:
             yield check_file(path, solve=solve, progress=progress)
         except WorldError as error:
-            yield error
+            yield UnreadableError(str(path), error)
 
 
 def check_text(

@@ -11,8 +11,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from navsim.check import PathSummary, Report, Summary
-from navsim.errors import Finding, WorldError
+from navsim.check import PathSummary, Report, Summary, UnreadableError
+from navsim.errors import Finding
 from navsim.passages import Passage
 from navsim.worldfile import text_lines
 
@@ -25,7 +25,7 @@ USAGE_ERROR, ODD = 2, 1
 
 
 def print_reports(
-    reports: Iterable[Report | WorldError],
+    reports: Iterable[Report | UnreadableError],
     console: Console,
     errors: Console,
     *,
@@ -45,9 +45,9 @@ def print_reports(
     """
     status, documents = 0, []
     for report in reports:
-        if isinstance(report, WorldError):
+        if isinstance(report, UnreadableError):
             status = USAGE_ERROR
-            documents.append({"file": None, "ok": False, "problems": list(report.problems)})
+            documents.append(report.to_dict())
             if not json:
                 errors.print(Text(str(report), "bold"), soft_wrap=True)
             continue

@@ -62,6 +62,8 @@ MOTION = "#6a3d9a"
 PUSHABLE = "#0b7285"
 HEIGHT_COLOURS = LinearSegmentedColormap.from_list("heights", ["#e6dfd1", "#b3a793", "#7b7162", "#454039"])
 DEPTH_COLOURS = "viridis_r"
+PICTURE_SUFFIXES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".eps", ".ps", ".svgz")
+"""Of the files that ``save_figure`` writes. Matplotlib has more: pixels without a header, and what takes TeX."""
 NO_RETURN = "#d9dce0"
 
 ACTION_LABELS = ("slow", "fast", "left π/4", "left π/8", "straight", "right π/8", "right π/4")
@@ -77,12 +79,23 @@ def new_figure(width: float, height: float, *, dpi: float = 110.0) -> Figure:
 
 def save_figure(figure: Figure, path: str | Path) -> Path:
     """Write a figure as the file's suffix says (.png, .svg, .pdf, …), making its directory; returns the path."""
-    path = Path(path)
-    supported = figure.canvas.get_supported_filetypes()
-    if path.suffix[1:].lower() not in supported:
-        raise ValueError(f"{path}: pictures are written as {', '.join('.' + s for s in sorted(supported))}")
+    path = check_picture(path)
     with atomic_write(path, "wb") as file:
         figure.savefig(file, format=path.suffix[1:].lower())
+    return path
+
+
+def check_picture(path: str | Path) -> Path:
+    """A picture's path, if ``save_figure`` can write it.
+
+    Raises:
+        ValueError: for a suffix that no picture has which matplotlib writes by itself, and for a directory.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in PICTURE_SUFFIXES:
+        raise ValueError(f"{path}: pictures are written as {', '.join(PICTURE_SUFFIXES)}")
+    if path.is_dir():
+        raise ValueError(f"{path} is a directory; name the picture's file, such as {path / 'picture.png'}")
     return path
 
 
@@ -311,6 +324,8 @@ def _outline(obstacle: Obstacle) -> np.ndarray:
 
 
 def _draw_arrow(axes: Axes, begin: np.ndarray, end: np.ndarray) -> None:
+    if (begin == end).all():  # what turns about its own middle goes nowhere
+        return
     middle = 0.5 * (begin + end)
     tip = middle + 0.01 * (end - begin) / np.linalg.norm(end - begin)
     axes.annotate(

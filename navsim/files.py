@@ -12,8 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
-TEMPORARY = re.compile(r"\..+\.[a-z0-9_]{8}")
-"""Names of the files that ``atomic_write`` leaves where the process is killed meanwhile."""
+TEMPORARY = re.compile(r"\.(?P<target>.+)\.[a-z0-9_]{8}")
+"""Names of the files that ``atomic_write`` leaves where the process is killed meanwhile; ``target`` had been meant."""
 
 
 @contextmanager
@@ -37,6 +37,8 @@ def atomic_write(path: str | os.PathLike[str], mode: str = "w", *, parents: bool
         with place.open(mode, encoding=encoding, newline=newline) as file:
             yield file
         return
+    if place.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     if place.is_file() and not os.access(place, os.W_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
     target = Path(path).resolve()

@@ -232,6 +232,8 @@ def _never_free(world: World, equipment: Equipment) -> Iterator[Problem]:
         except NoFreeMomentError:
             text = "no episode can begin here: an obstacle that moves is there, or in something pushable, at all times"
             yield Problem(("starts", i), f"{text}; move the start, or the obstacle's path")
+        except ValueError as error:
+            yield Problem(("starts", i), str(error))
 
 
 def _narrow_ways(world: World, equipment: Equipment) -> Iterator[Problem]:

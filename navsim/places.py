@@ -23,6 +23,7 @@ START_CLEARANCE = 0.05
 
 _POINTS, _VIEWS, _ENDS = 12, 8, 2  # random places a round, how many of them are tried as starts, and how many as goals
 _ROUNDS = 1000  # times that they are tried before a world is said to have no room
+_ZOOMS = 8  # halvings of the room around a listed place, down to a closet in a building of 300 m
 _PATIENCE = 100  # times after which a start need not have the wanted view any more, if only it does not collide
 
 
@@ -82,7 +83,9 @@ class RandomPlaces:
         waiting = list(range(len(generators)))
         for attempt in range(_ROUNDS):
             needs_start = np.array([starts[robot] is None for robot in waiting])
-            begins, ends = self._candidates([generators[robot] for robot in waiting], needs_start, attempt)
+            given = [starts[robot] if goals[robot] is None else goals[robot] for robot in waiting]
+            listed = np.array([np.full(2, np.nan) if place is None else place[:2] for place in given])
+            begins, ends = self._candidates([generators[robot] for robot in waiting], needs_start, listed, attempt)
             for row, robot in enumerate(waiting):
                 start, goal = starts[robot], goals[robot]
                 if start is not None:
@@ -96,7 +99,7 @@ class RandomPlaces:
             if not waiting:
                 return [found[robot] for robot in range(len(generators))]
         raise ValueError(
-            f'world "{self._name}" has no room for an episode: of {_ROUNDS * _POINTS} random places none was '
+            f'world "{self._name}" has no room for an episode: of thousands of random places none was '
             f"free for a start and connected with a goal at least {self._apart:g} m away; clear obstacles away, "
             "list its starts and goals, or make the goal smaller"
         )
@@ -108,15 +111,21 @@ class RandomPlaces:
         return bool(has_room and self._connected(start[None], goal[None, None])[0, 0])
 
     def _candidates(
-        self, generators: Sequence[np.random.Generator], needs_start: np.ndarray, attempt: int
+        self, generators: Sequence[np.random.Generator], needs_start: np.ndarray, listed: np.ndarray, attempt: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """A start ``(N, 3)`` and some goals ``(N, _ENDS, 2)`` for each generator; NaN where there are fewer.
 
-        Starts are looked for where ``needs_start`` ``(N,)`` is set.
+        Starts are looked for where ``needs_start`` ``(N,)`` is set. ``listed`` ``(N, 2)`` is the start or goal that is
+        given, NaN where none is: what it is connected with may be a closet of a large building, so that in the end
+        places are drawn around it, nearer and less near.
         """
         drawn = np.stack([generator.uniform(-1.0, 1.0, (_POINTS, 3)) for generator in generators])
         points = drawn[..., :2] * self._half_size
-        room = self._room(points.reshape(-1, 2)).reshape(points.shape[:2])
+        if attempt >= _PATIENCE:
+            around = listed[:, None] + points / 2 ** (attempt % _ZOOMS)
+            points = np.where(np.isnan(around), points, around)
+        inside = (np.abs(points) <= self._half_size).all(axis=-1)
+        room = np.where(inside, self._room(points.reshape(-1, 2)).reshape(points.shape[:2]), -np.inf)
         place = (room >= START_CLEARANCE) & needs_start[:, None]
         place &= np.cumsum(place, axis=1) <= _VIEWS
         poses = np.concatenate([points, math.pi * drawn[..., 2:]], axis=2)

@@ -177,7 +177,7 @@ def render_depth(
     if isinstance(worlds, World):
         distinct, world_index = [worlds], np.zeros(len(poses), dtype=np.intp)
     else:
-        if len(worlds) != len(poses):
+        if len(worlds) != len(poses) or not worlds:
             raise ValueError(f"there must be one world, or one for each pose; got {len(worlds)} for {len(poses)} poses")
         positions = {id(world): position for position, world in reversed(list(enumerate(worlds)))}
         firsts = sorted(set(positions.values()))
@@ -187,7 +187,16 @@ def render_depth(
     if obstacle_poses is None:
         return cast(Scene(distinct), world_index, poses, camera or DepthCamera())
     scene = Scene([world.fixed_prisms for world in distinct])
-    moving = Dynamics(distinct).prisms(world_index, obstacle_poses)
+    dynamics = Dynamics(distinct)
+    obstacle_poses = np.asarray(obstacle_poses, dtype=np.float64)
+    count, most = len(poses), dynamics.most
+    given = obstacle_poses.shape
+    if len(given) != 3 or given[0] != count or given[1] < most or given[2] != 3:  # a simulator's other worlds have more
+        raise ValueError(
+            f"obstacle_poses must be of shape ({count}, {most}, 3): x, y, yaw of what moves or can be pushed; "
+            f"got {given}"
+        )
+    moving = dynamics.prisms(world_index, obstacle_poses)
     return cast(scene, world_index, poses, camera or DepthCamera(), moving=moving)
 
 

@@ -246,7 +246,9 @@ class Sensor:
         camera, model = self._camera, self._model
         if model.is_exact or not len(robots):
             return camera.to_uint8(ideal)
-        planar = ideal if camera.depth == "planar" else (ideal / camera.ray_lengths).astype(np.float32)
+        planar, limit = ideal, np.float32(camera.max_range * (1.0 - 1e-6))
+        if camera.depth == "range":  # what is out of range is a plane of its own, and no ball around the camera
+            planar = np.where(ideal < limit, ideal / camera.ray_lengths, camera.max_range).astype(np.float32)
         inverse = np.reciprocal(np.maximum(planar, _SMALLEST))
         level = self.noise_level[robots, None, None]
         angle = None
@@ -265,7 +267,7 @@ class Sensor:
             inverse = np.where(np.abs(step) < np.float32(EDGE / DISPARITY), along + step, across)
         measured = np.reciprocal(inverse)
         # What is out of range is no measurement, and has no noise.
-        beyond = camera.from_planar(measured) >= np.float32(camera.max_range * (1.0 - 1e-6))
+        beyond = camera.from_planar(measured) >= limit
         if model.axial_noise > 0.0:
             sigma = level * np.float32(model.axial_noise) * axial_sigma(measured)
             measured = np.maximum(measured + sigma * self._normal(robots), _SMALLEST)

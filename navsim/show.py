@@ -150,7 +150,7 @@ def _draw_view(axes: Axes, beside: Axes, world: World, pose: tuple[float, float,
     """What the robot sees at ``pose``, in ``beside``; where it stands and the floor that it sees, on the plan."""
     x, y, yaw = pose
     image = render_depth(world, np.array([pose]), _SHARP)[0]
-    points = scan_points(obstacle_depth(image, _SHARP, high=math.inf), _SHARP)
+    points = scan_points(obstacle_depth(image, _SHARP), _SHARP)
     outline = np.concatenate([[(_SHARP.mount_x, _SHARP.mount_y)], points])
     turn = np.array([(math.cos(yaw), math.sin(yaw)), (-math.sin(yaw), math.cos(yaw))])
     axes.add_patch(PolygonPatch(outline @ turn + (x, y), fc=VIEW, ec=VIEW, lw=0.8, alpha=0.35, zorder=1.9))

@@ -170,10 +170,9 @@ def _without_garbage_collection() -> Iterator[None]:
 
 
 def _find(path: str | os.PathLike[str]) -> Path:
-    file = Path(path)
-    if file.exists():
+    file, shipped = Path(path), shipped_worlds()
+    if file.exists() and not (file.is_dir() and str(path) in shipped):
         return file
-    shipped = shipped_worlds()
     if str(path) in shipped:
         return SHIPPED_WORLDS_DIRECTORY / f"{path}.yaml"
     meant = difflib.get_close_matches(file.stem, shipped, n=1)
@@ -212,6 +211,7 @@ _BOOLEANS = {"true": True, "True": True, "TRUE": True, "false": False, "False": 
 _INTEGER = re.compile(r"[-+]?[0-9]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _SPECIAL = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+_UNREADABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # what YAML forbids
 _TAG = "tag:yaml.org,2002:"
 _RESOLVED_TAGS = {_TAG + kind for kind in ("int", "float", "bool", "null")}
 
@@ -502,6 +502,12 @@ class _Document:
                 place = indentation.index("\t") + 1
                 self.problems.append(_Located(line, place, "not YAML: a tab; YAML is indented with spaces"))
                 self.refuse([])
+        elif (unreadable := _UNREADABLE.search(self._text)) is not None:
+            line, column = self._text.count("\n", 0, begin := unreadable.start()) + 1, 0
+            column = begin - self._text.rfind("\n", 0, begin)
+            text = f"not YAML: the control character U+{ord(unreadable[0]):04X}, which is not shown; remove it"
+            self.problems.append(_Located(line, column, text))
+            self.refuse([])
         remedy = "check the brackets, quotes, colons and indentation before this place"
         self.problems.append(_Located(line, column, f"not YAML: {found}; {remedy}"))
         self.refuse([])

@@ -37,6 +37,8 @@ _DESCRIPTION = """Train and evaluate robots that find their way by depth images.
 
 Type "navsim COMMAND --help" for all that a command takes, and "navsim --version" for the version."""
 
+_PATHS_HINT = "(default: all, up to 1000 in several worlds; 100 where the world leaves starts or goals open)"
+
 _navsim, _bench = SubcommandApp(), SubcommandApp()
 
 
@@ -159,7 +161,7 @@ def evaluate(
     world: Annotated[tuple[str, ...], arg(metavar="WORLD [WORLD ...]")],
     json: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(optional)")] = None,
     seed: int = 0,
-    num_paths: Annotated[int | None, arg(help_behavior_hint="(default: all, up to 1000 in several worlds)")] = None,
+    num_paths: Annotated[int | None, arg(help_behavior_hint=_PATHS_HINT)] = None,
     weights: Literal["best", "last"] = "best",
     symmetric: Annotated[Literal["yes", "no"] | None, arg(help_behavior_hint="(default: as it was trained)")] = None,
     ideal: FlagCreatePairsOff[bool] = False,
@@ -187,6 +189,8 @@ def evaluate(
     from rl.policies import find_policy
 
     console = Console()
+    if json is not None and json.is_dir():
+        raise ValueError(f"{json} is a directory; --json names the file to write, such as {json / 'evaluation.json'}")
     policy, config = find_policy(run, weights=weights, symmetric=None if symmetric is None else symmetric == "yes")
     if randomized and config.randomization == Randomization():
         raise ValueError(
@@ -206,7 +210,7 @@ def evaluate(
     console.print(comparison_table([result]))
     if json is not None:
         result.save(json)
-        console.print(f"written to {json}")
+        console.print(f"written to {json}", markup=False)
 
 
 @_navsim.command

@@ -198,7 +198,14 @@ def run(
         rooms_each: rooms of each kind and density.
         paths_each: paths driven in each room.
         redraw: judge and draw what ``results`` holds instead of driving again.
+
+    Raises:
+        ValueError: for less than two rooms of a kind.
     """
+    if rooms_each < 2 and not redraw:
+        raise ValueError(
+            f"rooms_each must be 2 or more, got {rooms_each}: half of them are fitted to, the others judged"
+        )
     if redraw:
         rooms = rooms_of(json.loads(results.read_text(encoding="utf-8")))
     else:

@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from tensordict import TensorDict, TensorDictBase
@@ -794,16 +795,17 @@ def _device_of(policy: object) -> torch.device:
 
 @contextmanager
 def _evaluation_mode(policy: Any) -> Iterator[None]:
-    """Modules are switched to evaluation, and back."""
+    """Modules are switched to evaluation, and each back to what it was."""
     if not isinstance(policy, torch.nn.Module):
         yield
         return
-    was_training = policy.training
+    were_training = {module: module.training for module in policy.modules()}
     policy.eval()
     try:
         yield
     finally:
-        policy.train(was_training)
+        for module, was_training in were_training.items():
+            module.training = was_training
 
 
 def _padded(plans: Sequence[np.ndarray | None], length: int) -> torch.Tensor:
@@ -862,7 +864,7 @@ def comparison_table(evaluations: Sequence[Evaluation], *, title: str | None = N
     same_count = f", {counts.pop()} paths" if len(counts) == 1 else ""
     # Without vertical lines it fits a terminal of 80 columns.
     table = Table(
-        title=title or ", ".join(worlds) + same_count,
+        title=title or escape(", ".join(worlds) + same_count),
         caption="percent; in brackets: Wilson's 95% intervals; bump/near: collisions by the bumper / by the depth rule",
         box=SIMPLE_HEAD,
         show_edge=False,
@@ -882,8 +884,8 @@ def comparison_table(evaluations: Sequence[Evaluation], *, title: str | None = N
             low, high = evaluation.interval(outcome)
             rates.append(f"{100 * evaluation.rate(outcome):.0f} [dim]({100 * low:.0f}–{100 * high:.0f})[/dim]")
         table.add_row(
-            evaluation.policy,
-            *([evaluation.world] if len(worlds) > 1 else []),
+            escape(evaluation.policy),
+            *([escape(evaluation.world)] if len(worlds) > 1 else []),
             *([] if same_count else [str(len(evaluation.paths))]),
             *rates[:2],
             f"{100 * evaluation.bumper_rate:.0f}/{100 * evaluation.too_near_rate:.0f}",

@@ -14,12 +14,14 @@ from matplotlib.patches import Circle
 from rich.console import Console
 
 from navsim.camera import DepthCamera
-from navsim.draw import INK, OUTCOME_COLOURS, draw_goal, draw_paths, draw_world, new_figure, save_figure
+from navsim.draw import INK, OUTCOME_COLOURS, check_picture, draw_goal, draw_paths, draw_world, new_figure, save_figure
 from navsim.files import atomic_write
 from navsim.raycast import render_depth
-from navsim.robot import TURTLEBOT2
+from navsim.robot import TURTLEBOT2, Robot
+from navsim.task import Task
 from navsim.world import World
 from navsim.worldsource import worlds_from
+from rl.config import TrainConfig
 from rl.evaluation import Evaluation, PathResult, evaluate_as_trained
 from rl.figures import describe
 from rl.observation import NUM_FRAMES
@@ -56,21 +58,31 @@ class Failure(NamedTuple):
     """Steps from when it was last in view to the end; None where it never was."""
 
 
-def explain(path: PathResult, world: World, camera: DepthCamera, frame_interval: int = 1) -> Failure:
-    """Finds out what a path failed by; in worlds where nothing moves.
+def explain(
+    path: PathResult,
+    world: World,
+    camera: DepthCamera,
+    frame_interval: int = 1,
+    *,
+    task: Task | None = None,
+    robot: Robot = TURTLEBOT2,
+) -> Failure:
+    """Finds out what a path failed by.
 
     Args:
         path: one that has failed.
         world: where.
         camera: of the robot.
         frame_interval: of the policy's images.
+        task: the rules that it was driven by; the defaults without one.
+        robot: who drove.
     """
     if path.outcome == "timeout":
         return Failure(path, "timeout", None, 0)
     if not path.too_near:
         return Failure(path, "touched", None, 0)
-    end = path.trajectory[-1]
-    planar = render_depth(world, end[None], camera)[0]
+    end, obstacles = path.trajectory[-1], path.obstacle_poses(world, task or Task(), robot)
+    planar = render_depth(world, end[None], camera, None if obstacles is None else obstacles[-1:])[0]
     image = camera.from_planar(planar)
     rows, columns = np.nonzero(image < image.min() + _AS_NEAR)  # all of a wall is as near
     middlemost = np.abs(columns - 0.5 * (camera.width - 1)).argmin()
@@ -78,7 +90,8 @@ def explain(path: PathResult, world: World, camera: DepthCamera, frame_interval:
     depth = float(planar[row, column])
     ahead, left = depth * camera.row_advances[row], depth * camera.column_slopes[column]
     point = _to_world(end, np.array([ahead + camera.mount_x, left + camera.mount_y]))
-    in_view = _in_view(point, path.trajectory[-2::-1], world, camera)  # the last image first
+    before = None if obstacles is None else obstacles[-2::-1]
+    in_view = _in_view(point, path.trajectory[-2::-1], world, camera, before)  # the last image first
     seen = in_view[np.minimum(frame_interval * np.arange(NUM_FRAMES), len(in_view) - 1)]
     ago = int(in_view.argmax()) + 1 if in_view.any() else None
     from_side = min(column, camera.width - 1 - column)
@@ -91,7 +104,9 @@ def _to_world(pose: np.ndarray, point: np.ndarray) -> np.ndarray:
     return pose[:2] + np.array([[cosine, -sine], [sine, cosine]]) @ point
 
 
-def _in_view(point: np.ndarray, poses: np.ndarray, world: World, camera: DepthCamera) -> np.ndarray:
+def _in_view(
+    point: np.ndarray, poses: np.ndarray, world: World, camera: DepthCamera, obstacles: np.ndarray | None
+) -> np.ndarray:
     """``(K,)`` bool: whether a camera at each pose ``(K, 3)`` sees something at ``point`` ``(2,)``."""
     away = point - poses[:, :2]
     cosine, sine = np.cos(poses[:, 2]), np.sin(poses[:, 2])
@@ -102,19 +117,38 @@ def _in_view(point: np.ndarray, poses: np.ndarray, world: World, camera: DepthCa
     column = np.abs(slopes - slope[..., None]).argmin(axis=-1)
     half_column = 0.5 * abs(float(slopes[1] - slopes[0]))
     within = (ahead > 0.0)[:, None] & (np.abs(slope) <= np.abs(slopes).max() + half_column)
-    depths = np.take_along_axis(render_depth(world, poses, camera), column[..., None], axis=-1)[..., 0]
+    depths = np.take_along_axis(render_depth(world, poses, camera, obstacles), column[..., None], axis=-1)[..., 0]
     return (within & (np.abs(depths * camera.row_advances - ahead[:, None]) < _SAME)).any(axis=1)
 
 
-def explain_all(evaluation: Evaluation, worlds: Sequence[World], camera: DepthCamera, interval: int) -> list[Failure]:
-    """Every failure of an evaluation, by kinds in the order of ``KINDS``."""
-    failed = [path for path in evaluation.paths if path.outcome != "success"]
-    found = [explain(path, worlds[path.world_index], camera, interval) for path in failed]
+def explain_all(evaluation: Evaluation, worlds: Sequence[World], config: TrainConfig) -> list[Failure]:
+    """Every failure of an evaluation of a robot with these settings, by kinds in the order of ``KINDS``."""
+    found = [
+        explain(
+            path,
+            worlds[path.world_index],
+            config.camera,
+            config.frame_interval,
+            task=config.task,
+            robot=config.robot,
+        )
+        for path in evaluation.paths
+        if path.outcome != "success"
+    ]
     return sorted(found, key=lambda failure: list(KINDS).index(failure.kind))
 
 
-def draw_failures(failures: Sequence[Failure], worlds: Sequence[World]) -> Figure:
-    """The surroundings of each end: the way there, the robot, its view, and what came too near."""
+def draw_failures(
+    failures: Sequence[Failure],
+    worlds: Sequence[World],
+    camera: DepthCamera | None = None,
+    robot: Robot = TURTLEBOT2,
+) -> Figure:
+    """The surroundings of each end: the way there, the robot, its view, and what came too near.
+
+    What moves is drawn where world files put it.
+    """
+    camera = camera or DepthCamera()
     columns = min(4, len(failures))
     rows = -(-len(failures) // columns)
     figure = new_figure(2.6 * columns, 2.9 * rows)
@@ -126,10 +160,12 @@ def draw_failures(failures: Sequence[Failure], worlds: Sequence[World]) -> Figur
         )
         draw_paths(axes, [path.trajectory], [path.outcome], legend=False, line_width=1.8, alpha=1.0)
         x, y, yaw = path.trajectory[-1]
-        axes.add_patch(Circle((x, y), TURTLEBOT2.radius, fc="#f4e04d", ec=INK, lw=1.0, zorder=6))
-        for side in (-1, 1):
-            angle = yaw + side * np.radians(30.0)
-            axes.plot([x, x + np.cos(angle)], [y, y + np.sin(angle)], color="#2b6cb0", lw=0.8, zorder=5)
+        axes.add_patch(Circle((x, y), robot.radius, fc="#f4e04d", ec=INK, lw=1.0, zorder=6))
+        eye = _to_world(path.trajectory[-1], np.array([camera.mount_x, camera.mount_y]))
+        for side in (-0.5, 0.5):
+            angle = yaw + side * np.radians(camera.horizontal_fov_deg)
+            far = eye + np.array([np.cos(angle), np.sin(angle)])
+            axes.plot([eye[0], far[0]], [eye[1], far[1]], color="#2b6cb0", lw=0.8, zorder=5)
         draw_goal(axes, path.goal)
         if failure.at is not None:
             axes.plot(*failure.at, marker="x", ms=9, mew=2.2, color=OUTCOME_COLOURS["collision"], zorder=7)
@@ -147,7 +183,7 @@ def write_failures(
 
     Args:
         policy: what ``rl.policies.find_policy`` takes.
-        world: a world file, a shipped world's name, or generated rooms; nothing may move there.
+        world: a world file, a shipped world's name, or generated rooms.
         page: Markdown file.
         picture: image file.
         num_paths: how many paths to drive; by default all, up to 1000 in several worlds.
@@ -156,13 +192,15 @@ def write_failures(
     Raises:
         RunError: for a policy that there is not, or that cannot be used.
         navsim.WorldError: for a world that cannot be used.
+        ValueError: for a picture that cannot be written, or a number of paths that there are not.
     """
+    check_picture(picture)
     driver, config = find_policy(policy)
     worlds = worlds_from(world)
     result = evaluate_as_trained(driver, config, worlds, num_paths=num_paths, console=console)
-    failures = explain_all(result, worlds, config.camera, config.frame_interval)
+    failures = explain_all(result, worlds, config)
     if failures:
-        save_figure(draw_failures(failures[:_MOST_DRAWN], worlds), picture)
+        save_figure(draw_failures(failures[:_MOST_DRAWN], worlds, config.camera, config.robot), picture)
     with atomic_write(page) as file:
         file.write(
             _page(policy, world, result, failures, os.path.relpath(picture, page.parent), config.task.control_period)

@@ -20,7 +20,7 @@ from navsim.worldsource import is_generated
 from rl.checkpoints import KEPT
 from rl.config import ConfigError, TrainConfig
 from rl.learner import NO_CUDA, shapes_of_weights
-from rl.observation import NUM_FRAMES
+from rl.observation import NUM_FRAMES, history_length
 
 _GIB = 2**30
 _PROCESS = 0.55 * _GIB
@@ -127,7 +127,10 @@ def memory_needed(config: TrainConfig) -> int:
     stack = NUM_FRAMES * pixels
     weights = (6 if config.device == "cpu" else 7) * _weights_size(config)  # as in a checkpoint, and gradients
     batches = 8 * stack * config.steps_per_batch + 24 * stack * config.batch_size
-    evaluation = 12 * stack * _EVALUATED
+    # Images between those of a stack are kept, too, and histories copied at each step.
+    between = 2 * (history_length(config.frame_interval) - NUM_FRAMES) * pixels
+    evaluation = (12 * stack + between) * _EVALUATED
+    batches += between * config.num_envs
     total = _PROCESS + _replay_size(config) + weights + batches + evaluation
     if config.collector == "async":
         total += _PROCESS + _weights_size(config) + batches

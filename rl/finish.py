@@ -52,7 +52,7 @@ def finish(run: Run, console: Console) -> Path:
     console.print(comparison_table(evaluations))
     with console.status("writing the report"):
         report = write_report(run)
-    console.print(f"report: {report}")
+    console.print(f"report: {report}", markup=False)
     return report
 
 

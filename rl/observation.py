@@ -59,5 +59,8 @@ def history_length(interval: int) -> int:
 
 
 def stack_of(history: Tensor) -> Tensor:
-    """The stack, ``(N, 4, H, W)``, in a history ``(N, history_length(interval), H, W)``; oldest first, a view."""
-    return history[:, :: (history.shape[1] - 1) // (NUM_FRAMES - 1)]
+    """The stack, ``(N, 4, H, W)``, in a history ``(N, history_length(interval), H, W)``; oldest first.
+
+    A copy: whoever gets an observation may write into it, and what is seen next is made of the history.
+    """
+    return history[:, :: (history.shape[1] - 1) // (NUM_FRAMES - 1)].clone()

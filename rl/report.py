@@ -75,12 +75,12 @@ def _template() -> jinja2.Template:
 
 def _evaluations(run: Run) -> list[Evaluation]:
     """The final evaluations: the run's policy first, then its last weights, and the baselines in their usual order."""
-    evaluations = {file.stem: Evaluation.load(file) for file in (run.directory / "evaluation").glob("*.json")}
-    own = sorted(name for name in evaluations if name not in BASELINES)
-    if not own:
+    own = f"D3QN-{run.config.model}"
+    files = {name: run.directory / "evaluation" / f"{name}.json" for name in (own, f"{own}{LAST_WEIGHTS}", *BASELINES)}
+    if not files[own].is_file():
         again = shlex.join(["navsim", "train", "--resume", "--report", "--out", str(run.directory)])
         raise RunError(f"{run.directory} holds no evaluation of its policy; make it, and the report: {again}")
-    return [evaluations[name] for name in (*own, *BASELINES) if name in evaluations]
+    return [Evaluation.load(file) for file in files.values() if file.is_file()]
 
 
 def _contents(run: Run, config: TrainConfig, evaluations: Sequence[Evaluation]) -> dict[str, Any]:

@@ -24,9 +24,10 @@ import io
 import json
 import os
 import platform
+import re
 import shutil
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -57,6 +58,13 @@ EVALUATIONS = [
 """Columns of evaluations.csv."""
 POLICY_FILES = {"best": "policy", "last": "policy_last"}
 """Names of the files of weights, without their suffix: those that did best in evaluations, and the last."""
+_WRITTEN = (
+    *("policy.pt", "policy_last.pt", "metrics.csv", "evaluations.csv", "report.html", "episode.mp4"),
+    *("evaluation", "tensorboard", "checkpoints"),
+)
+"""What a run writes into its directory after ``config.json``."""
+_FILES = re.compile(r"config\.json|versions\.json|.+\.pt|.+\.csv|report\.html|episode\.mp4|bad_batch-.+\.safetensors")
+"""Names of the files that a run writes as a whole or not at all."""
 _LIBRARIES = ("torch", "torchrl", "tensordict", "pymunk", "numpy", "pydantic", "scipy")
 
 
@@ -95,8 +103,11 @@ def _refused(path: Path, reason: str, full: bool) -> RunError:
 def write_json(path: Path, value: Any, indent: int | None = 2) -> None:
     """Writes ``value`` as JSON, atomically; without ``indent`` in one line."""
     with atomic_write(path) as file:
-        json.dump(value, file, indent=indent, allow_nan=False)
-        file.write("\n")
+        file.write(_json(value, indent))
+
+
+def _json(value: Any, indent: int | None = 2) -> str:
+    return json.dumps(value, indent=indent, allow_nan=False) + "\n"
 
 
 class Table:
@@ -171,12 +182,14 @@ class Run:
         run = cls(config.directory)
         run.check_vacant()
         with writing(run.directory):
+            first = {run.directory / "versions.json": _json(versions()).encode()}
+            first |= {copy: read_file(source)[1] for source, copy in run._copies(config).items()}
+            # What a run that was killed while it began has left is the same, and of no other file is it.
+            run._check_free(path for path, content in first.items() if path.exists() and path.read_bytes() != content)
             run.directory.mkdir(parents=True, exist_ok=True)
             run.remove_rubbish()
-            write_json(run.directory / "versions.json", versions())
-            for source, copy in run._copies(config).items():
-                _, content = read_file(source)
-                with atomic_write(copy, "wb") as file:
+            for path, content in first.items():
+                with atomic_write(path, "wb") as file:
                     file.write(content)
             write_json(run.directory / "config.json", {"format": FORMAT, **config.to_dict()})
         return run
@@ -250,10 +263,18 @@ class Run:
         return found, values
 
     def check_vacant(self) -> None:
-        """Raises :class:`RunError` if the directory holds a run."""
+        """Raises :class:`RunError` if the directory holds a run, or what a run would overwrite."""
         if self.exists:
             raise RunError(
                 f"{self.directory} already holds a run; go on with it (--resume), or choose another directory (--out)"
+            )
+        self._check_free(path for name in _WRITTEN if (path := self.directory / name).exists())
+
+    def _check_free(self, taken: Iterable[Path]) -> None:
+        if names := [str(path.relative_to(self.directory)) for path in taken]:
+            raise RunError(
+                f"{self.directory} is not a run's directory, having no config.json, but holds {', '.join(names)}, "
+                "which a run there would overwrite; choose another directory (--out)"
             )
 
     def check_resumable(self, config: TrainConfig) -> None:
@@ -327,10 +348,12 @@ class Run:
             os.close(handle)
 
     def remove_rubbish(self) -> None:
-        """Removes the temporary files of a process that was killed while it wrote."""
+        """Removes the temporary files of a process that was killed while it wrote, and no other hidden files."""
         for place in (self.directory, *self.directory.glob("worlds/**"), self.directory / "evaluation"):
+            written = _FILES if place == self.directory else re.compile(r".+\.(yaml|json)")
             for path in place.glob(".*"):
-                if TEMPORARY.fullmatch(path.name) and path.is_file():
+                temporary = TEMPORARY.fullmatch(path.name)
+                if temporary and written.fullmatch(temporary["target"]) and path.is_file():
                     path.unlink()
 
     def save_policy(self, name: str, state_dict: Mapping[str, torch.Tensor]) -> None:

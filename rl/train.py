@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -110,7 +111,7 @@ def _train(config: TrainConfig, run: Run, resume: bool, console: Console) -> Run
     begun = _checkpoint_to_resume(run, checkpoints, console) if resume else None
     if have_rooms_in_common(seen.world, [seen.eval_world], TRAINING_SEED + config.seed):
         sentence = f"{config.eval_world} is trained in as well: evaluations there do not tell of rooms never seen"
-        console.print(sentence, soft_wrap=True)
+        console.print(sentence, soft_wrap=True, markup=False)
     skipped = step_of(begun) if begun is not None and config.collector == "async" else 0
     replay = make_replay(
         capacity=config.replay_capacity,
@@ -243,9 +244,10 @@ def _checkpoint_to_resume(run: Run, checkpoints: Checkpoints, console: Console) 
     """The checkpoint to go on from, all that a killed process left half written having been removed."""
     run.remove_rubbish()
     checkpoints.remove_rubbish()
-    begun = checkpoints.newest_intact(lambda sentence: console.print(sentence, soft_wrap=True))
+    say = partial(console.print, soft_wrap=True, markup=False)
+    begun = checkpoints.newest_intact(say)
     if begun is None:
-        console.print(f"{run.directory} was interrupted before its first checkpoint: it begins anew", soft_wrap=True)
+        say(f"{run.directory} was interrupted before its first checkpoint: it begins anew")
     return begun
 
 

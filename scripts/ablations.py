@@ -22,7 +22,7 @@ def main(
     results: Path = Path("docs/results/ablations"),
     page: Path = Path("docs/ablations.md"),
 ) -> None:
-    """Train and evaluate rows of the table of ablations, 8 to 50 minutes on one core for each seed of each row.
+    """Train and evaluate rows of the table of ablations, 7 to 60 minutes on one core for each seed of each row.
 
     Results that are in the directory of results, as this project's are, are not made again: to have your own, give
     others than the defaults.

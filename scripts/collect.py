@@ -8,6 +8,7 @@ A transition takes 41 kB on disk. The dataset is read where it lies, as memory-m
     replay = ReplayBuffer(storage=TensorStorage(transitions), batch_size=64)
 """
 
+import sys
 from functools import partial
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from rich.progress import track
 from tensordict import TensorDict
 from torchrl.collectors import Collector
 
+from navsim import WorldError
 from rl import NavEnv
 
 
@@ -49,4 +51,7 @@ def collect(
 
 
 if __name__ == "__main__":
-    tyro.cli(collect)
+    try:
+        tyro.cli(collect)
+    except WorldError as error:
+        sys.exit(str(error))

@@ -5,6 +5,7 @@ Writes docs/results/difficulty.json and docs/images/difficulty.png.
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import tyro
@@ -23,7 +24,10 @@ def main(rooms_each: int = 16, paths_each: int = 12, redraw: bool = False) -> No
     """
     docs = Path(__file__).resolve().parent.parent / "docs"
     results, picture = docs / "results" / "difficulty.json", docs / "images" / "difficulty.png"
-    run(Console(), results=results, picture=picture, rooms_each=rooms_each, paths_each=paths_each, redraw=redraw)
+    try:
+        run(Console(), results=results, picture=picture, rooms_each=rooms_each, paths_each=paths_each, redraw=redraw)
+    except ValueError as error:
+        sys.exit(str(error))
 
 
 if __name__ == "__main__":

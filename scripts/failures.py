@@ -6,9 +6,7 @@ from pathlib import Path
 import tyro
 from rich.console import Console
 
-from navsim.errors import WorldError
 from rl.failures import write_failures
-from rl.run import RunError
 
 
 def main(
@@ -30,7 +28,7 @@ def main(
     """
     try:
         write_failures(policy, world, page, picture, num_paths=num_paths, console=Console())
-    except (RunError, WorldError) as error:
+    except (ValueError, OSError) as error:
         sys.exit(str(error))
 
 

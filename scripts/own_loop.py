@@ -10,6 +10,7 @@ discount. A network of your own, any module of depth images ``(..., 4, 64,
 how to use what was learnt.
 """
 
+import sys
 from pathlib import Path
 
 import torch
@@ -20,6 +21,7 @@ from torchrl.collectors import Collector
 from torchrl.modules import EGreedyModule
 from torchrl.objectives import SoftUpdate
 
+from navsim import WorldError
 from rl import D3QNLoss, NavEnv, evaluate, make_q_actor, make_replay
 
 
@@ -42,6 +44,8 @@ def learn(
         seed: Of starts, goals, exploration and network; rooms are others with a seed of their own, as in
             generate:clutter,count=100,seed=7.
     """
+    if out.is_dir():
+        raise SystemExit(f"{out} is a directory; --out names the file to write weights to, such as {out / 'actor.pt'}")
     out.parent.mkdir(parents=True, exist_ok=True)
     torch.set_flush_denormal(True)  # else Adam gets slower as units fall silent: docs/performance.md
     torch.manual_seed(seed)
@@ -73,4 +77,7 @@ def learn(
 
 
 if __name__ == "__main__":
-    tyro.cli(learn)
+    try:
+        tyro.cli(learn)
+    except WorldError as error:
+        sys.exit(str(error))

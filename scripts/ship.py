@@ -28,7 +28,7 @@ def main(
     """
     try:
         print(ship(Run.open(run), directory, name, weights=weights, console=Console()))
-    except RunError as error:
+    except (RunError, OSError) as error:
         sys.exit(str(error))
 
 

@@ -260,5 +260,8 @@ def _lost(world: World, low: float, high: float, resolution: float) -> list[str]
     for obstacle in world.obstacles:
         if not (obstacle.base < high and obstacle.top > low):
             notes.append(f"'{obstacle.name}' is not on the map: nothing of it is between {low:g} and {high:g} m")
+    walls = world.walls
+    if walls is not None and walls.height <= low:
+        notes.append(f"the walls are not on the map: nothing of them is between {low:g} and {high:g} m")
     notes.append(f"a map tells neither heights, starts nor goals, and outlines to a cell of {resolution:g} m")
     return notes

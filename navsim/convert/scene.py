@@ -262,10 +262,11 @@ def _sound(solids: list[Solid], notes: list[str]) -> list[Solid]:
     number: Counter[str] = Counter()
     sound = []
     for solid in solids:
-        name = " ".join(solid.name.split()) or solid.kind
+        name = own = " ".join(solid.name.split()) or solid.kind
         if names[solid.name] > 1:
-            number[solid.name] += 1
-            name = f"{name} {number[solid.name]}"
+            while name == own or name in names:
+                number[solid.name] += 1
+                name = f"{own} {number[solid.name]}"
         flaw = _flaw(solid)
         if flaw:
             notes.append(f"'{name}' {flaw}; it is left out")
@@ -307,7 +308,7 @@ def _above_the_floor(solids: list[Solid], floor: float, notes: list[str]) -> lis
     standing, sunk, cut = [], [], []
     for solid in solids:
         base, top = solid.base - floor, solid.top - floor
-        if top <= 1e-3:
+        if top <= (1e-3 if base < -1e-9 else 1e-9):
             sunk.append(solid.name)
             continue
         if base < -1e-3:

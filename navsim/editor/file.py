@@ -9,9 +9,10 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
+from navsim.editor.patch import EditError, patched
 from navsim.errors import WorldError
 from navsim.files import write_text
-from navsim.worldfile import SHIPPED_WORLDS_DIRECTORY, shipped_worlds
+from navsim.worldfile import SHIPPED_WORLDS_DIRECTORY, plain_scalar, shipped_worlds
 
 LARGEST_TEXT = 4 * 2**20
 """Bytes of a file that the editor opens."""
@@ -131,7 +132,7 @@ class EditedFile:
     def _beginning(self) -> str:
         name = self.path.stem if re.fullmatch(r"[A-Za-z]\w*", self.path.stem) else "room"
         if self._like is None:
-            return TEMPLATE.format(name=name)
+            return TEMPLATE.format(name=name if isinstance(plain_scalar(name), str) else f'"{name}"')
         shipped = SHIPPED_WORLDS_DIRECTORY / f"{self._like}.yaml"
         source = shipped if self._like in shipped_worlds() else Path(self._like)
         try:
@@ -141,7 +142,10 @@ class EditedFile:
             raise WorldError([f"{self._like}: there is no such world; name a file or one of {choice}"]) from None
         except OSError as error:
             raise WorldError([f"{self._like}: cannot be read ({error.strerror})"]) from None
-        return re.sub(r"(?m)^name:(?:[^#\n]*[^#\s])?", f"name: {name}", text, count=1)
+        try:
+            return patched(text, [{"op": "set", "where": [], "values": {"name": name}}])
+        except EditError:  # a text that cannot be read is to be put right first
+            return text
 
 
 def _decoded(content: bytes, path: Path) -> str:

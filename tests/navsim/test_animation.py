@@ -182,3 +182,14 @@ def test_a_film_shows_what_is_remembered(tmp_path):
 def test_a_memory_of_another_shape_is_refused(tmp_path, shape):
     with pytest.raises(ValueError, match="what is remembered, of shape"):
         animate_episode(tmp_path / "a.gif", WORLD, DRIVE, (2.0, 0.0), remembered=np.ones(shape))
+
+
+@pytest.mark.parametrize("speed", [7.0, 30.0])
+def test_a_gif_lasts_as_long_as_its_speed_says_and_no_frame_is_too_short_for_browsers(tmp_path, speed):
+    drive = np.stack([np.linspace(-2, 1.6, 31), np.zeros(31), np.zeros(31)], axis=1)
+    path = animate_episode(tmp_path / "a.gif", WORLD, drive, (2.0, 0.0), speed=speed)
+    count = len(imageio.imread(path))
+    durations = [imageio.immeta(path, index=index)["duration"] for index in range(count)]
+    assert min(durations) >= 20
+    assert sum(durations) == pytest.approx(1000.0 * 31 * 0.2 / speed + 1000.0, abs=60)
+    assert pixels(imageio.imread(path)[-1][PLAN], ROBOT)[:, 1].mean() > 370  # the end of the drive is there

@@ -372,6 +372,19 @@ def test_json_is_one_document_and_nothing_else(tmp_path):
     assert [report["ok"] for report in json.loads(out)] == [True, False]
 
 
+def test_json_tells_which_file_could_not_be_read(tmp_path):
+    out, err = (Console(file=io.StringIO(), width=80, highlight=False) for _ in range(2))
+    (tmp_path / "room.yaml").write_text(ROOM)
+    files = [tmp_path / "none.yaml", tmp_path / "room.yaml"]
+    assert print_reports(check_files(files), out, err, json=True) == 2
+    missing, sound = json.loads(out.file.getvalue())
+    assert missing.keys() == sound.keys()
+    assert (missing["file"], missing["ok"], missing["summary"]) == (str(files[0]), False, None)
+    (finding,) = missing["findings"]
+    assert "there is no such world file" in finding["text"]
+    assert (finding["line"], finding["severity"]) == (1, "error")
+
+
 def test_a_table_has_a_row_for_each_path(tmp_path):
     _, out, _ = statuses([RICH], tmp_path, paths=True)
     assert out.count("│") >= 6 * 4

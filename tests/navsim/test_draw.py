@@ -262,3 +262,19 @@ def test_figures_become_png_files_and_bytes(tmp_path):
 def test_an_unknown_picture_format_names_those_that_are_known(tmp_path):
     with pytest.raises(ValueError, match=r"picture\.xyz: pictures are written as .*\.png"):
         save_figure(new_figure(1, 1), tmp_path / "picture.xyz")
+
+
+def test_what_turns_about_its_own_middle_has_no_arrow(recwarn):
+    motion = {"hinge": [0, 0], "swing_deg": [0, 90], "speed_deg": 30}
+    turning = {"cylinder": {"at": [0, 0], "radius": 0.3, "height": 1, "motion": motion}}
+    axes = new_figure(3, 3).add_subplot()
+    draw_world(axes, World.from_dict({"format": 1, "size": [6, 6], "obstacles": [turning]}))
+    assert not recwarn.list
+    assert np.isfinite([annotation.xy for annotation in axes.texts if hasattr(annotation, "xy")]).all()
+
+
+@pytest.mark.parametrize("suffix", [".pgf", ".rgba"])
+def test_formats_that_are_no_pictures_are_refused(tmp_path, suffix):
+    with pytest.raises(ValueError, match="pictures are written as"):
+        save_figure(new_figure(1, 1), tmp_path / f"picture{suffix}")
+    assert not any(tmp_path.iterdir())

@@ -237,3 +237,16 @@ def test_poses_of_another_shape_are_refused(poses, message):
 def test_a_number_of_worlds_that_does_not_match_the_poses_is_refused():
     with pytest.raises(ValueError, match="one world, or one for each pose; got 2 for 3 poses"):
         render_depth([World.from_dict(world_of())] * 2, np.zeros((3, 3)))
+
+
+def test_poses_of_obstacles_are_of_the_shape_that_simulators_tell():
+    can = {"at": [1, 0], "radius": 0.2, "height": 0.5, "motion": {"path": [[1, 0], [1, 1]], "speed": 0.2}}
+    world = World.from_dict({"format": 1, "size": [6, 6], "obstacles": [{"cylinder": can}]})
+    poses = np.zeros((2, 3))
+    there = np.array([[[1.0, 0.0, 0.0]]] * 2)
+    assert np.array_equal(render_depth(world, poses, None, there), render_depth(world, poses))
+    for wrong in (there[0], there[:1], np.concatenate([there, there]), there[..., :2], there[:, :0]):
+        with pytest.raises(ValueError, match=r"obstacle_poses must be of shape \(2, 1, 3\)"):
+            render_depth(world, poses, None, wrong)
+    with pytest.raises(ValueError, match="there must be one world, or one for each pose; got 0 for 0 poses"):
+        render_depth([], np.zeros((0, 3)))

@@ -100,6 +100,12 @@ def test_what_is_out_of_range_has_no_noise():
     assert read[:, 32:].std() > 0.02
 
 
+def test_what_is_out_of_range_has_no_noise_in_range_images():
+    camera = DepthCamera(depth="range")
+    read = expose(SensorModel(axial_noise=1.0, lateral_noise=1.0), wall(5.0, camera=camera), camera)
+    assert np.all(read == 5.0)
+
+
 def test_range_images_have_the_noise_of_their_planar_depth():
     camera = DepthCamera(depth="range")
     read = expose(SensorModel(axial_noise=1.0), wall(2.0, 40) * camera.ray_lengths, camera) / camera.ray_lengths

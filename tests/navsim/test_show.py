@@ -97,6 +97,14 @@ def test_the_floor_in_view_is_what_a_straight_look_reaches(pose):
     assert compared > 5
 
 
+def test_the_floor_under_a_table_is_in_view():
+    table = Box(at=(2.0, 0.0), size=(1.2, 2.4), base=0.7, height=0.04)
+    axes = plan((0.9, 0.0, 0.0), world=World(size=(8, 6), obstacles=[table])).axes[0]
+    colour = Circle((0, 0), fc=VIEW).get_facecolor()[:3]
+    (view,) = [p for p in axes.patches if isinstance(p, PolygonPatch) and p.get_facecolor()[:3] == colour]
+    assert shapely.Polygon(view.get_xy()).contains(shapely.Point(3.0, 0.0))
+
+
 def test_the_view_is_drawn_beside_the_plan():
     figure = plan((0.0, 0.0, math.pi / 2))
     titles = [axes.get_title() for axes in figure.axes]

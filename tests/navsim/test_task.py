@@ -248,6 +248,22 @@ def test_random_places_fill_the_room():
         assert (np.histogram2d(*places.T, bins=3, range=[[-3.5, 3.5]] * 2)[0] > 15).all()
 
 
+def test_a_closet_of_a_large_building_is_found():
+    """A free floor of 1.65 m in one of 60 m, which two thousand places at random often miss."""
+    closet = [
+        {"box": {"at": at, "size": size, "height": 1.0}}
+        for at, size in (
+            ((0, 1.05), (2.2, 0.1)),
+            ((0, -1.05), (2.2, 0.1)),
+            ((1.05, 0), (0.1, 2)),
+            ((-1.05, 0), (0.1, 2)),
+        )
+    ]
+    for settings in ({"starts": [[0.5, 0.5]]}, {"goals": [[0.5, 0.5]]}):
+        for episode in drawn(make_world(*closet, size=(60, 60), **settings), 10):
+            assert max(np.abs([*episode.pose[:2], *episode.goal])) < 1.0 - TURTLEBOT2.radius
+
+
 def test_a_world_without_room_says_so():
     with pytest.raises(ValueError, match="no room for an episode"):
         drawn(make_world(), 1, task=Task(goal_radius=20.0))

@@ -588,3 +588,18 @@ def test_a_save_keeps_permissions_and_links(tmp_path):
 
 def test_a_problem_with_a_key_that_is_left_out_is_shown_where_it_is_missing():
     assert problem_of("# small\nformat: 1\nsize: [0.3, 0.3]\n").startswith("room.yaml:2:1: starts: there is no room")
+
+
+@pytest.mark.parametrize(("character", "code"), [("\x0c", "U+000C"), ("\x00", "U+0000"), ("\x7f", "U+007F")])
+def test_a_control_character_is_named_with_its_place(character, code):
+    text = f"{ROOM}# a stray {character} here\nname: x\n"
+    place = f"{ROOM.count(chr(10)) + 1}:11"
+    assert (
+        problem_of(text) == f"room.yaml:{place}: not YAML: the control character {code}, which is not shown; remove it"
+    )
+
+
+def test_a_directory_does_not_hide_a_shipped_world(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "complex_eval").mkdir()
+    assert load_world("complex_eval").name == "complex_eval"

@@ -289,3 +289,12 @@ def test_torchrls_own_collector_goes_on_from_its_checkpoint():
     second = collector()
     second.load_state_dict(first.state_dict(), strict=False)  # random actions have no weights
     assert sum(batch.numel() for batch in second) == 60
+
+
+def test_whoever_writes_into_an_observation_changes_nothing_that_is_seen_later():
+    untouched, scribbled = (NavEnv(CORRIDOR, 2, camera=CAMERA, seed=0) for _ in range(2))
+    state, other = untouched.reset(), scribbled.reset()
+    for _ in range(5):
+        other["depth"].zero_()
+        state, other = (act(env, one, [1, 1])["next"] for env, one in ((untouched, state), (scribbled, other)))
+        assert torch.equal(state["depth"], other["depth"])

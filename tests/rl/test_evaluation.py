@@ -348,6 +348,21 @@ def test_exploration_is_off_and_modules_are_in_evaluation_mode():
     assert policy.training
 
 
+def test_modules_that_were_frozen_while_others_train_stay_so():
+    class Fast(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.frozen, self.other = torch.nn.Dropout(), torch.nn.Dropout()
+
+        def forward(self, heading):
+            return torch.ones(heading.shape[0], dtype=torch.int64)
+
+    policy = TensorDictModule(Fast(), in_keys=["heading"], out_keys=["action"]).train()
+    policy.module.frozen.eval()
+    drive(policy)
+    assert (policy.training, policy.module.other.training, policy.module.frozen.training) == (True, True, False)
+
+
 class Map:
     """Plans: straight on for the first path, nothing for the second, too little for the third."""
 
@@ -528,6 +543,13 @@ def test_the_table_shows_rates_with_their_intervals():
     assert "50 (9–91)" in text
     assert "100 (21–100)" in text
     assert "0.38" in text
+
+
+def test_names_with_brackets_are_shown_whole():
+    paths = (result("success", 4.0, 3.0),)
+    screen = Console(file=io.StringIO(), width=120)
+    screen.print(comparison_table([Evaluation(f"run[lr={rate}]", f"hall[{rate}]", 0, paths) for rate in (1, 2)]))
+    assert all(name in screen.file.getvalue() for name in ("run[lr=1]", "run[lr=2]", "hall[1]", "hall[2]"))
 
 
 def test_long_names_leave_the_numbers_of_the_table_whole():

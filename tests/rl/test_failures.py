@@ -6,15 +6,17 @@ import math
 
 import numpy as np
 import pytest
+from matplotlib.patches import Circle
 from rich.console import Console
 from tensordict import TensorDict
 
 from navsim.camera import DepthCamera
+from navsim.robot import Robot
 from navsim.task import Task
 from navsim.world import World
 from navsim.worldfile import save_world
 from rl.evaluation import PathResult, evaluate
-from rl.failures import KINDS, _in_view, explain, write_failures
+from rl.failures import KINDS, _in_view, draw_failures, explain, write_failures
 
 CAMERA = DepthCamera()
 LEFT, STRAIGHT = 2, 4
@@ -32,7 +34,7 @@ def room(*boxes: dict) -> World:
     )
 
 
-def driven(world: World, actions: list[int], task: Task | None = None) -> PathResult:
+def driven(world: World, actions: list[int], task: Task | None = None, seed: int = 0) -> PathResult:
     """What becomes of a robot that takes these actions, and then goes on."""
 
     def policy(state: TensorDict) -> TensorDict:
@@ -42,7 +44,7 @@ def driven(world: World, actions: list[int], task: Task | None = None) -> PathRe
         return state
 
     taken: list[int] = []
-    return evaluate(policy, world, camera=CAMERA, task=task).paths[0]
+    return evaluate(policy, world, camera=CAMERA, task=task, seed=seed).paths[0]
 
 
 def test_what_was_ahead_all_the_time_was_seen():
@@ -126,3 +128,40 @@ def test_what_a_tilted_camera_sees_is_where_it_is():
     far = np.array([[-2.5, 0.0, 0.0]])
     assert _in_view(np.array([0.35, 0.0]), far, world, camera).all()
     assert not _in_view(np.array([0.15, 0.0]), far, world, camera).any()
+
+
+def test_what_had_moved_into_the_way_is_where_it_was_at_the_end():
+    motion = {"path": [[0.5, 2.0], [0.5, -2.0]], "speed": 0.3}
+    world = room({"at": [0.5, 2.0], "size": [0.3, 1.0], "height": 1.0, "motion": motion})
+    paths = [driven(world, [STRAIGHT], seed=seed) for seed in range(12)]
+    near = [path for path in paths if path.too_near and path.trajectory[-1, 0] < 0.4]  # and not at the wall behind
+    assert near
+    for path in near:
+        failure = explain(path, world, CAMERA)
+        there = path.obstacle_poses(world, Task())[-1, 0]
+        x, y = np.array(failure.at) - there[:2]
+        assert max(abs(x) - 0.15, abs(y) - 0.5) == pytest.approx(0.0, abs=0.02)  # on the box's side
+        assert failure.at[0] - path.trajectory[-1, 0] < 0.42
+
+
+def test_the_robot_and_its_view_are_drawn_as_they_are():
+    world = room({"at": [0.5, 0.0], "size": [0.3, 1.0], "height": 1.0})
+    failure = explain(driven(world, [STRAIGHT]), world, CAMERA)
+    camera, robot = DepthCamera(horizontal_fov_deg=90.0, mount_x=0.1), Robot(radius=0.25)
+    (axes,) = draw_failures([failure], [world], camera, robot).axes
+    x, y, yaw = failure.path.trajectory[-1]
+    (body,) = [patch for patch in axes.patches if isinstance(patch, Circle) and patch.center == (x, y)]
+    assert body.radius == 0.25
+    edges = [line.get_xydata() for line in axes.lines if len(line.get_xdata()) == 2 and line.get_color() == "#2b6cb0"]
+    eye = (x + 0.1 * math.cos(yaw), y + 0.1 * math.sin(yaw))
+    assert sorted(round(math.degrees(math.atan2(*(to - begin)[::-1]) - yaw)) for begin, to in edges) == [-45, 45]
+    np.testing.assert_allclose([edge[0] for edge in edges], [eye, eye])
+
+
+def test_a_picture_that_cannot_be_written_is_refused_before_anything_is_driven(tmp_path):
+    with pytest.raises(ValueError, match=r"a\.xyz: pictures are written as \.png"):
+        write_failures("straight", "simple_eval", tmp_path / "page.md", tmp_path / "a.xyz")
+    (tmp_path / "dir.png").mkdir()
+    with pytest.raises(ValueError, match="is a directory; name the picture's file"):
+        write_failures("straight", "simple_eval", tmp_path / "page.md", tmp_path / "dir.png")
+    assert not (tmp_path / "page.md").exists()

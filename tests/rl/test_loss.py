@@ -297,3 +297,21 @@ def test_a_network_with_a_way_of_its_own_learns_by_it(kind):
         torch.testing.assert_close(gradient, reference, rtol=1e-4, atol=1e-5)
     expected = actor(batch.select("depth", "heading"))["action_value"].gather(-1, batch["action"].unsqueeze(-1))
     torch.testing.assert_close(batch["chosen_action_value"], expected)
+
+
+def test_modules_train_and_evaluate_as_the_actors_do():
+    class Network(nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.norm, self.layer = nn.BatchNorm1d(1), nn.Linear(1, 7)
+
+        def forward(self, depth: torch.Tensor, heading: torch.Tensor) -> torch.Tensor:
+            return self.layer(self.norm(heading))
+
+    actor = QValueActor(Network(), in_keys=["depth", "heading"], spec=Categorical(7))
+    ours, data = D3QNLoss(actor), transitions(8)
+    theirs = DQNLoss(actor, double_dqn=True, delay_value=True, action_space="categorical")
+    theirs.make_value_estimator(ValueEstimators.TD0, gamma=0.99)
+    for mode in (False, True, False, True):
+        actor.train(mode)
+        torch.testing.assert_close(ours(data.clone())["loss"], theirs(data.clone())["loss"])

@@ -258,3 +258,12 @@ def test_training_curves_have_a_line_for_training_and_points_for_evaluations(run
     assert reward.lines[1].get_ydata().tolist() == [1.0]
     assert max_q.lines[0].get_ydata().tolist() == [0.5] * 3
     np.testing.assert_allclose(loss.lines[0].get_ydata(), [0.1 / 4000, 0.1 / 8000, 0.1 / 12000], rtol=1e-5)
+
+
+def test_evaluations_that_somebody_else_has_put_there_are_not_in_the_report(run, tmp_path):
+    other = shutil.copytree(run.directory, tmp_path / "other")
+    strange = evaluate(make_baseline("straight"), "simple_eval", name="A stranger", num_paths=1)
+    strange.save(other / "evaluation" / "A stranger.json")
+    text = write_report(Run(other)).read_text(encoding="utf-8")
+    assert "stranger" not in text
+    assert "D3QN-I" in text

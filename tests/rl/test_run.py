@@ -67,6 +67,44 @@ def test_a_run_keeps_the_worlds_that_it_was_begun_with(tmp_path):
         run.with_its_worlds(settings)
 
 
+@pytest.mark.parametrize("name", ["policy.pt", "metrics.csv", "evaluation/a.json", "tensorboard/a", "checkpoints/a"])
+def test_what_is_in_a_directory_that_holds_no_run_is_not_overwritten(tmp_path, name):
+    file = tmp_path / "own" / name
+    file.parent.mkdir(parents=True)
+    file.write_text("mine")
+    with pytest.raises(RunError, match=rf"own is not a run's directory, .* holds {name.split('/')[0]}, which a run"):
+        Run.create(config(tmp_path / "own"))
+    assert file.read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["versions.json", "worlds/complex_eval.yaml"])
+def test_a_run_begins_where_one_was_killed_before_it_began_but_not_over_other_files(run, name):
+    (run.directory / "policy.pt").unlink()
+    (run.directory / "config.json").unlink()
+    assert Run.create(config(run.directory)).exists
+    (run.directory / "config.json").unlink()
+    file = run.directory / name
+    file.write_text("mine")
+    with pytest.raises(RunError, match=f"holds {name}, which a run there would overwrite; choose another directory"):
+        Run.create(config(run.directory))
+    assert file.read_text() == "mine"
+
+
+def test_only_what_a_run_had_begun_to_write_is_rubbish(run):
+    (run.directory / "evaluation").mkdir()
+    rubbish = [
+        ".config.json.abcdefgh",
+        ".policy.pt.a_b1c2d3",
+        "worlds/.hall.yaml.abcdefgh",
+        "evaluation/.a.json.aaaaaaaa",
+    ]
+    others = [".env.template", ".zshrc.original", ".policy.pt", "worlds/.git.abcdefgh", ".hall.yaml.abcdefgh"]
+    for name in (*rubbish, *others):
+        (run.directory / name).write_text("")
+    run.remove_rubbish()
+    assert [name for name in (*rubbish, *others) if (run.directory / name).exists()] == others
+
+
 @pytest.mark.parametrize("format_", [0, 1])
 def test_a_run_of_an_earlier_version_can_be_used_but_not_gone_on_with(run, capsys, format_):
     kept = run.with_its_worlds(run.config)

@@ -9,6 +9,7 @@ import torch
 from small_runs import HALL, tiny_config
 
 import rl.shipping
+from navsim.randomization import Randomization
 from navsim.sensor import KINECT
 from rl.evaluation import evaluate
 from rl.learner import make_actor
@@ -90,3 +91,38 @@ def test_the_card_of_a_noisy_robot_tells_its_settings_and_where_it_did_best(tmp_
     assert f"--sensor.axial-noise {KINECT.axial_noise}" in card
     assert "a noisy depth sensor" in card
     assert f"those that did best in `{HALL}` during the run" in card
+
+
+def test_a_measurement_that_is_interrupted_leaves_the_old_weights_with_their_card(run, tmp_path, monkeypatch):
+    card = ship(run, tmp_path, "S")
+    before = {path: path.read_bytes() for path in (card, tmp_path / "S.safetensors")}
+    run.save_policy("policy_last", {name: value + 1.0 for name, value in run.load_policy("policy").items()})
+
+    def interrupted(*arguments, **settings):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(rl.shipping, "evaluate_as_trained", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        ship(run, tmp_path, "S")
+    assert {path: path.read_bytes() for path in before} == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["S.md", "S.safetensors", "run"]
+
+
+@pytest.mark.parametrize("lively", [False, True])
+def test_the_card_tells_of_the_rooms_and_the_wheels_that_it_was_trained_with(tmp_path, monkeypatch, lively):
+    places = (("the hall", str(HALL), 1), ("a room", "simple_eval", 1))
+    monkeypatch.setattr(rl.shipping, "PLACES", places)
+    settings = {"world": ("generate:clutter,size=9x8,count=1", str(HALL))}
+    if lively:
+        wheels = Randomization(wheel_speed_error=(-0.1, 0.1))
+        settings = {"world": ("crowded", "simple_eval"), "sensor": KINECT, "randomization": wheels}
+    run = Run.create(tiny_config(tmp_path / "run", **settings))
+    run.save_policy("policy_last", make_actor(run.config).state_dict())
+    row = {"step": 18_000, "seconds": 500.0, "processor_seconds": 120.0, "world": "hall"}
+    run.evaluations.append(row | dict.fromkeys(("success_rate", "collision_rate", "timeout_rate", "spl"), 0.5))
+    card = " ".join(ship(run, tmp_path, "S").read_text(encoding="utf-8").split())
+    assert f"Of the rooms below, it was trained in {'a room' if lively else 'the hall'}." in card
+    assert ("whose furniture stands still. In larger rooms, among what moves, or" in card) != lively
+    assert ("9 x 8 m whose" in card) != lively
+    assert ("a noisy depth sensor and inexact wheels: for a robot with others train anew" in card) == lively
+    assert ("an ideal depth sensor and exact wheels, which robots do not have: train anew" in card) != lively

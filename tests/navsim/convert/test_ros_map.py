@@ -216,6 +216,13 @@ def test_only_obstacles_at_the_given_heights_are_on_the_map(tmp_path):
     assert counts[0.0, 2.0] == 0 < counts[0.0, 0.42] < counts[0.16, 0.2]
 
 
+def test_walls_that_are_not_on_the_map_are_told(tmp_path):
+    rooms = {height: navsim.World(size=(6, 6), walls=navsim.Walls(height=height)) for height in (0.12, 0.2)}
+    notes = {height: save_ros_map(room, tmp_path / "m.yaml", low=0.15) for height, room in rooms.items()}
+    assert "the walls are not on the map: nothing of them is between 0.15 and" in notes[0.12][0]
+    assert not any("the walls are not" in note for note in notes[0.2])
+
+
 def test_maps_that_cannot_be_written_are_refused(tmp_path):
     world = navsim.load_world("simple_eval")
     for settings_, part in (

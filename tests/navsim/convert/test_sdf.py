@@ -217,6 +217,19 @@ def test_heights_are_measured_from_the_ground_plane_and_what_lies_under_it_is_li
     assert any("0.5 m" in note for note in notes)
 
 
+def test_what_is_flat_on_the_floor_comes_back(tmp_path):
+    carpet = navsim.Box(name="carpet", at=(0, 0), size=(1, 1), height=0.001)
+    save_sdf(navsim.World(size=(6, 6), obstacles=[carpet]), tmp_path / "a.sdf")
+    world, _ = load_sdf(tmp_path / "a.sdf")
+    assert [(one.name, one.height) for one in world.obstacles] == [("carpet", pytest.approx(0.001))]
+
+
+def test_numbered_names_are_nobody_elses(tmp_path):
+    text = "".join(model(link(CAN), name, f"<pose>{x} 0 0.3 0 0 0</pose>") for x, name in enumerate(("a", "a", "a 1")))
+    world, _ = load_sdf(world_file(tmp_path, text))
+    assert len({obstacle.name for obstacle in world.obstacles}) == 3
+
+
 def test_what_gazebo_lets_move_can_be_pushed_if_asked_for_and_light(tmp_path):
     heavy = model(
         link(BOX, name="l").replace("<collision", "<inertial><mass>80</mass></inertial><collision"), "heavy", static=""

@@ -334,6 +334,19 @@ def test_a_new_file_can_begin_as_a_copy(tmp_path):
         EditedFile(tmp_path / "c.yaml", like="simple_trian")
 
 
+@pytest.mark.parametrize("stem", ["true", "null"])
+def test_a_new_file_may_have_any_name(tmp_path, stem):
+    assert read_world(EditedFile(tmp_path / f"{stem}.yaml").state().text).world.name == stem
+
+
+@pytest.mark.parametrize("name", ['"a#b: c"', "lab#3", ">-\n  two\n  lines", "'it''s'   # ours"])
+def test_a_copy_has_the_new_files_name_whatever_the_others_is(tmp_path, name):
+    (tmp_path / "ours.yaml").write_text(f"format: 1\nname: {name}\nsize: [4, 4]\n")
+    text = EditedFile(tmp_path / "new.yaml", like=str(tmp_path / "ours.yaml")).state().text
+    assert read_world(text).world.name == "new"
+    assert ("# ours" in text) == ("# ours" in name)
+
+
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
