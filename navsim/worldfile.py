@@ -503,7 +503,8 @@ class _Document:
                 self.problems.append(_Located(line, place, "not YAML: a tab; YAML is indented with spaces"))
                 self.refuse([])
         elif (unreadable := _UNREADABLE.search(self._text)) is not None:
-            line, column = self._text.count("\n", 0, begin := unreadable.start()) + 1, 0
+            begin = unreadable.start()
+            line = self._text.count("\n", 0, begin) + 1
             column = begin - self._text.rfind("\n", 0, begin)
             text = f"not YAML: the control character U+{ord(unreadable[0]):04X}, which is not shown; remove it"
             self.problems.append(_Located(line, column, text))

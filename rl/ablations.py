@@ -24,6 +24,7 @@ from torchrl.modules import QValueActor
 
 from navsim.draw import INK, QUIET_INK, new_figure, save_figure
 from navsim.files import atomic_write
+from navsim.task import Task
 from rl.config import DEFAULT_PRESET, PRESETS, TrainConfig
 from rl.evaluation import Evaluation, evaluate_as_trained
 from rl.policies import load_policy
@@ -125,6 +126,15 @@ ROWS: dict[str, Row] = {
     "S-fast-plain-denser": Row(
         f"preset fast, D3QN-S, {_PLAIN_WORLD}, which have density 0.17", {"model": "S", **_DENSER_ROOMS}, "fast"
     ),
+    **{
+        f"{prefix}fast-plain-length-{penalty:g}": Row(
+            f"preset fast, {model}{_PLAIN_WORLD}, where a metre costs {penalty:g}",
+            {**settings, **_PLAIN_ROOMS, "task": Task(length_penalty=penalty)},
+            "fast",
+        )
+        for prefix, model, settings in (("", "", {}), ("S-", "D3QN-S, ", {"model": "S"}))
+        for penalty in (0.3, 0.6)
+    },
     "S-fast-plain-glorot": Row(
         f"preset fast, D3QN-S, {_PLAIN_WORLD}, weights for the heading begin as all others",
         {"model": "S", "heading_init": "glorot", **_PLAIN_ROOMS},

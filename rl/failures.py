@@ -105,7 +105,7 @@ def _to_world(pose: np.ndarray, point: np.ndarray) -> np.ndarray:
 
 
 def _in_view(
-    point: np.ndarray, poses: np.ndarray, world: World, camera: DepthCamera, obstacles: np.ndarray | None
+    point: np.ndarray, poses: np.ndarray, world: World, camera: DepthCamera, obstacles: np.ndarray | None = None
 ) -> np.ndarray:
     """``(K,)`` bool: whether a camera at each pose ``(K, 3)`` sees something at ``point`` ``(2,)``."""
     away = point - poses[:, :2]
