@@ -399,7 +399,10 @@ def bench_learning(
     collectors: tuple[Literal["sync", "async"], ...] = ("sync", "async"),
     formats: Annotated[
         tuple[Literal["float32", "bfloat16"], ...] | None,
-        arg(help_behavior_hint="(default: both where this processor is faster in bfloat16, else float32)"),
+        arg(
+            metavar="{float32,bfloat16} [...]",
+            help_behavior_hint="(default: both where this processor is faster in bfloat16, else float32)",
+        ),
     ] = None,
     num_threads: int = 2,
     runs: Annotated[Path, arg(metavar="DIR")] = Path("runs/bench_learning"),

@@ -499,7 +499,9 @@ def _followed(
 def main() -> None:
     """Reads the arguments; exits with 1 if there are findings."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("targets", nargs="*", choices=[[], *TARGETS], help=f"by default all: {', '.join(TARGETS)}")
+    parser.add_argument(
+        "targets", nargs="*", choices=[[], *TARGETS], metavar="TARGET", help=f"by default all: {', '.join(TARGETS)}"
+    )
     parser.add_argument("--minutes", type=float, default=5.0, help="in all, evenly shared out (default 5)")
     parser.add_argument("--findings", type=Path, default=Path("findings"), metavar="DIR", help="(default findings)")
     parser.add_argument("--engine", choices=("auto", "atheris", "mutation"), default="auto")
