@@ -25,7 +25,7 @@ from rl.config import TrainConfig
 from rl.evaluation import Evaluation, PathResult, evaluate
 from rl.figures import action_distribution, choose_examples, example_paths, training_curves
 from rl.learner import make_actor
-from rl.report import write_report
+from rl.report import _evaluations, write_report
 from rl.run import METRICS, Run, RunError
 
 WORLD = World.from_dict(
@@ -264,6 +264,4 @@ def test_evaluations_that_somebody_else_has_put_there_are_not_in_the_report(run,
     other = shutil.copytree(run.directory, tmp_path / "other")
     strange = evaluate(make_baseline("straight"), "simple_eval", name="A stranger", num_paths=1)
     strange.save(other / "evaluation" / "A stranger.json")
-    text = write_report(Run(other)).read_text(encoding="utf-8")
-    assert "stranger" not in text
-    assert "D3QN-I" in text
+    assert [evaluation.policy for evaluation in _evaluations(Run(other))] == ["D3QN-I", "random", "reactive"]
