@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from navsim.check import PathSummary, Report, Summary, UnreadableError
-from navsim.errors import Finding
+from navsim.errors import Finding, counted
 from navsim.passages import Passage
 from navsim.worldfile import text_lines
 
@@ -115,7 +115,7 @@ def print_summary(report: Report, console: Console, paths: bool = False) -> None
     summary = report.summary
     if summary is None:
         return
-    told = f", {_counted(len(report.warnings), 'warning')}" if report.warnings else ""
+    told = f", {counted(len(report.warnings), 'warning')}" if report.warnings else ""
     console.print(
         Text.assemble((f"{report.source}: ", "bold"), ("ok", "bold green"), told, f", {report.world!r}"), soft_wrap=True
     )
@@ -132,7 +132,7 @@ def print_summary(report: Report, console: Console, paths: bool = False) -> None
 
 
 def _floor(summary: Summary) -> str:
-    kinds = ", ".join(_counted(count, kind) for kind, count in summary.obstacles.items())
+    kinds = ", ".join(counted(count, kind) for kind, count in summary.obstacles.items())
     covered = f"{summary.density:.1%} covered by {kinds}" if kinds else "nothing on it"
     return f"{summary.area:.4g} m², {covered}"
 
@@ -178,8 +178,3 @@ def _table(paths: Sequence[PathSummary], goal_radius: float) -> Table:
         passage = (f"{width:.2f}", " – ".join(sides)) if math.isfinite(width) else ("wide open", "")
         table.add_row(str(path.start), str(path.goal), f"{path.length:.2f}", *passage)
     return table
-
-
-def _counted(count: int, noun: str) -> str:
-    plural = {"box": "boxes"}.get(noun, f"{noun}s")
-    return f"{count} {noun if count == 1 else plural}"

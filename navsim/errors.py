@@ -59,3 +59,13 @@ def key_path(where: Sequence[str | int]) -> str:
         word = str(part) if str(part).isprintable() else repr(part)[1:-1]
         text += f"[{word}]" if isinstance(part, int) else f".{word}" if text else word
     return text
+
+
+def counted(count: int, noun: str) -> str:
+    """So many of what ``noun`` names.
+
+    >>> counted(1, "path"), counted(0, "path"), counted(2, "box")
+    ('1 path', '0 paths', '2 boxes')
+    """
+    plural = f"{noun}es" if noun.endswith("x") else f"{noun}s"
+    return f"{count} {noun if count == 1 else plural}"

@@ -28,7 +28,7 @@ from pydantic import (
 )
 from typing_extensions import Self
 
-from navsim.errors import Problem, WorldError
+from navsim.errors import Problem, WorldError, counted
 from navsim.motion_rules import FASTEST
 from navsim.polygon import convex_pieces, crossing_edges, signed_area
 from navsim.prism import Prism, walls_around
@@ -652,10 +652,10 @@ class World(_Settings):
 
     def __repr__(self) -> str:
         walls = "open floor" if self.walls is None else f"{self.walls.height:g} m walls"
-        starts = "random starts" if isinstance(self.starts, str) else _counted(len(self.starts), "start")
-        goals = "random goals" if isinstance(self.goals, str) else _counted(len(self.goals), "goal")
+        starts = "random starts" if isinstance(self.starts, str) else counted(len(self.starts), "start")
+        goals = "random goals" if isinstance(self.goals, str) else counted(len(self.goals), "goal")
         size = f"{self.size[0]:g} x {self.size[1]:g} m"
-        return f"World({self.name!r}, {size}, {walls}, {_counted(len(self.obstacles), 'obstacle')}, {starts}, {goals})"
+        return f"World({self.name!r}, {size}, {walls}, {counted(len(self.obstacles), 'obstacle')}, {starts}, {goals})"
 
     __str__ = __repr__
 
@@ -738,10 +738,6 @@ def _renumbered(where: tuple[str | int, ...], kept: Mapping[str, list[int]]) -> 
 
 def _default_name(kind: str, position: int) -> str:
     return f"{kind} {position + 1}"
-
-
-def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def _plain(settings: BaseModel, without_name: bool = False) -> dict[str, Any]:

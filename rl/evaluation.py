@@ -25,6 +25,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from navsim.camera import DepthCamera
 from navsim.dynamics import dynamic_obstacles
+from navsim.errors import counted
 from navsim.files import atomic_write
 from navsim.physics import obstacle_poses_along
 from navsim.planner import shortest_path_length
@@ -861,7 +862,7 @@ def comparison_table(evaluations: Sequence[Evaluation], *, title: str | None = N
     """
     worlds = dict.fromkeys(evaluation.world for evaluation in evaluations)
     counts = {len(evaluation.paths) for evaluation in evaluations}
-    same_count = f", {counts.pop()} paths" if len(counts) == 1 else ""
+    same_count = f", {counted(counts.pop(), 'path')}" if len(counts) == 1 else ""
     # Without vertical lines it fits a terminal of 80 columns.
     table = Table(
         title=title or escape(", ".join(worlds) + same_count),

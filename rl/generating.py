@@ -13,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from navsim.difficulty import difficulty
+from navsim.errors import counted
 from navsim.generate import RoomSettings, floor_covered, write_rooms
 from navsim.overview import save_overview
 from navsim.world import World
@@ -63,9 +64,8 @@ def generate_files(
     console.print(_table(listed, difficulties, solved))
     if len(worlds) > len(listed):
         console.print(f"… and {len(worlds) - len(listed)} more")
-    rooms_written = "1 room" if count == 1 else f"{count} rooms"
     console.print(
-        f"{rooms_written} in {directory}: {seconds:.2f} s, {1000.0 * seconds / count:.0f} ms each; "
+        f"{counted(count, 'room')} in {directory}: {seconds:.2f} s, {1000.0 * seconds / count:.0f} ms each; "
         f"difficulty {min(difficulties):.2f} to {max(difficulties):.2f}, on average {np.mean(difficulties):.2f}",
         highlight=False,
     )

@@ -19,6 +19,7 @@ from torchrl.modules import QValueActor
 
 from navsim.animation import animate_episode
 from navsim.draw import draw_depth_stack, figure_png, new_figure
+from navsim.errors import counted
 from navsim.files import atomic_write
 from navsim.raycast import render_depth
 from navsim.scan import obstacle_depth
@@ -110,7 +111,7 @@ def _contents(run: Run, config: TrainConfig, evaluations: Sequence[Evaluation]) 
             *_training_facts(metrics),
         ],
         "rows": [_row(evaluation) for evaluation in evaluations],
-        "paths": len(policy.paths),
+        "paths": counted(len(policy.paths), "path"),
         "world": policy.world,
         "control_period": f"{config.task.control_period:g}",
         "animation": _animation(run, config, world, drawn),

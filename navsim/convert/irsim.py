@@ -18,6 +18,7 @@ from navsim.convert.images import read_image
 from navsim.convert.raster import IntricateError, check_borders, fill_pockets, outlines
 from navsim.convert.scene import Place, Room, Scene, Solid, world_of
 from navsim.convert.yamlfile import Node, read_yaml
+from navsim.errors import counted
 from navsim.robot import TURTLEBOT2
 from navsim.world import MOST_PLACES, Walls, World
 
@@ -150,9 +151,9 @@ class _Reader:
         how = how or Node("manual", entry.file, entry.line, "distribution.name")
         kind = how.word()
         if kind == "random":
-            objects = "1 object" if count == 1 else f"{count} objects"
             self._notes.append(
-                f"'{label}' is left out: IR-SIM draws its {objects} anew each time (distribution random)"
+                f"'{label}' is left out: IR-SIM draws its {counted(count, 'object')} anew each time "
+                "(distribution random)"
             )
             return
         if kind == "circle" and distribution is not None:

@@ -15,6 +15,7 @@ from xml.sax.saxutils import escape
 
 from navsim.convert.errors import ConversionError
 from navsim.convert.textfile import read_bytes
+from navsim.errors import counted
 
 DEEPEST_NESTING = 100
 """Elements inside one another."""
@@ -91,7 +92,7 @@ class Element:
         words = text.split()
         what = where or f"<{self.tag}>"
         if len(words) != count:
-            wanted = "1 number" if count == 1 else f"{count} numbers"
+            wanted = counted(count, "number")
             raise self.error(f"{what} must hold {wanted}, not {_shown(text)}")
         values = []
         for word in words:

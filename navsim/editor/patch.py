@@ -94,7 +94,9 @@ def dependants(tree: Tree, where: Sequence[Any]) -> list[tuple[Any, ...]]:
         entries and keys, in the same form.
     """
     places = {place: node for place, node in _places(tree) if not (place[0] == where[0] and len(place) != len(where))}
-    node = places[tuple(where)]
+    node = places.get(tuple(where))
+    if node is None:  # it stands in a merge key and cannot be changed here
+        return []
     return [
         place for place, other in places.items() if place != tuple(where) and (other is node or _reaches(other, node))
     ]
@@ -246,6 +248,8 @@ def _entry(tree: Tree, where: Any) -> tuple[Node, tuple[str, int]]:
         items = values.meant.items if values is not None else []
         if 0 <= where[1] < len(items):
             return items[where[1]], (where[0], where[1])
+        if values is None and where[0] in tree.root.data():
+            raise EditError(f"'{where[0]}' comes from a merge key ('<<') here; change it in the text")
         raise EditError(f"there is no {where[0]}[{where[1]}] in the text; it has {len(items)} of them")
     raise EditError("'where' of an edit must be an entry such as ['obstacles', 2], or [] for the world")
 

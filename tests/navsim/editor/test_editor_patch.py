@@ -15,6 +15,7 @@ from yaml_styles import Writer, degrees, lengths, outlines, places, points, shap
 import navsim
 from navsim.editor.patch import EditError, dependants, entries, patched
 from navsim.editor.reading import Sketch, read_world
+from navsim.editor.scene import describe
 from navsim.editor.yamltree import Tree
 
 ROOM = "format: 1\nsize: [8, 8]\n"
@@ -422,3 +423,13 @@ def test_random_texts_never_slip_through_unread():
         except EditError:
             continue
         assert read_world(moved).world.obstacles[0].at == (0.125, 0.25)
+
+
+def test_obstacles_that_a_merge_key_gives_are_shown_but_not_changed():
+    text = ROOM + (
+        "<<:\n  obstacles:\n    - box: &a {at: [1, 2], size: [1, 1], height: 1}\n    - box: {<<: *a, at: [-1, 2]}\n"
+    )
+    assert [obstacle["at"] for obstacle in describe(read_world(text))["scene"]["obstacles"]] == [[1, 2], [-1, 2]]
+    for edit in ({"op": "set", "values": {"at": [3, 3]}}, {"op": "remove"}):
+        with pytest.raises(EditError, match="'obstacles' comes from a merge key"):
+            patched(text, [{**edit, "where": ["obstacles", 0]}])
