@@ -12,10 +12,8 @@ import imageio.v3 as imageio
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle
 from matplotlib.patches import Polygon as PolygonPatch
 from PIL import Image
 
@@ -26,21 +24,15 @@ from navsim.draw import (
     INK,
     OUTCOME_COLOURS,
     QUIET_INK,
-    ROBOT,
-    VIEW,
     draw_depth,
     draw_dial,
-    draw_goal,
     draw_scale,
-    draw_world,
-    dynamic_patches,
     masked_depth,
-    move_dynamic_patches,
 )
 from navsim.files import atomic_write
+from navsim.plan import Background, Plan, views_of
 from navsim.raycast import render_depth
 from navsim.robot import NUM_ACTIONS, TURTLEBOT2, Robot
-from navsim.scan import obstacle_depth, scan_points
 from navsim.task import Task, goal_distance, heading
 from navsim.world import World
 
@@ -178,14 +170,10 @@ def check_animation(path: Path, speed: float) -> None:
 def _frames(episode: _Episode) -> Iterator[np.ndarray]:
     """RGB images (h, w, 3) uint8, one a pose. What stands still is drawn once; each frame adds what moves."""
     stage = _Stage(episode)
-    stage.canvas.draw()
-    background = stage.canvas.copy_from_bbox(stage.figure.bbox)
+    background = Background(stage.figure, stage.moving)
     for index in range(len(episode.poses)):
         stage.move_to(index)
-        stage.canvas.restore_region(background)
-        for artist in stage.moving:
-            (artist.axes or stage.figure).draw_artist(artist)
-        yield np.asarray(stage.canvas.buffer_rgba())[..., :3].copy()
+        yield background.with_artists()
 
 
 class _Stage:
@@ -200,60 +188,32 @@ class _Stage:
         self._depths = ideal if shown is None else np.concatenate([shown, shown[-1:]])
         self._headings = heading(poses, episode.goal)
         self._distances = goal_distance(poses, episode.goal)
-        self._views = _view_outlines(ideal, poses, camera)
+        self._views = views_of(ideal, poses, camera)
         self.figure = Figure(figsize=_SIZE, dpi=_DPI, facecolor="white")
-        self.canvas = FigureCanvasAgg(self.figure)
         self._lay_out()
         self.moving: tuple[Artist, ...] = (
-            *self._obstacles,
-            self._view,
+            *self._plan.artists,
             self._memory,
-            self._goal,
-            self._halo,
-            self._trail,
-            self._body,
-            self._nose,
             self._image,
             self._needle,
             self._words,
             self._verdict,
             *(self._bars.artists if self._bars else ()),
         )
-        for artist in self.moving:
-            artist.set_animated(True)
 
     def _lay_out(self) -> None:
-        episode, robot = self._episode, self._episode.robot
-        plan = self.figure.add_axes((0.01, 0.02, 0.525, 0.96))
-        draw_world(
-            plan,
+        episode = self._episode
+        axes = self.figure.add_axes((0.01, 0.02, 0.525, 0.96))
+        self._plan = Plan(
+            axes,
             episode.world,
-            starts=False,
-            goals=False,
-            colour_bar=False,
-            legend=False,
-            dynamic=episode.obstacle_poses is None,
             camera=episode.camera,
-            robot=robot,
+            robot=episode.robot,
+            goal_radius=episode.task.goal_radius,
+            moves_obstacles=episode.obstacle_poses is not None,
         )
-        plan.axis("off")
-        self._obstacles = (
-            [] if episode.obstacle_poses is None else dynamic_patches(episode.world, episode.camera, robot)
-        )
-        for patch in self._obstacles:
-            plan.add_patch(patch)
-        goal = (float(episode.goal[0]), float(episode.goal[1]))
-        plan.add_patch(Circle(goal, episode.task.goal_radius, fc=GOAL, ec=GOAL, alpha=0.25, zorder=1.5))
-        self._goal = draw_goal(plan, goal)
-        plan.plot(*episode.poses[0, :2], marker="o", ms=5, mfc="white", mec=QUIET_INK, zorder=3)
-        self._view = PolygonPatch(self._views[0], fc=VIEW, ec=VIEW, lw=0.8, alpha=0.3, zorder=3.1)
-        self._body = Circle((0, 0), robot.radius, fc=ROBOT, ec=INK, lw=1.1, zorder=4)
-        for patch in (self._view, self._body):
-            plan.add_patch(patch)
-        self._halo = plan.add_line(Line2D([], [], color="white", lw=3.4, alpha=0.8, zorder=3.2))
-        self._trail = plan.add_line(Line2D([], [], color=OUTCOME_COLOURS["success"], lw=1.8, zorder=3.3))
-        self._nose = plan.add_line(Line2D([], [], color=INK, lw=1.4, zorder=4.1))
-        self._memory = plan.add_line(Line2D([], [], color=_REMEMBERED, lw=2.2, zorder=3.4))
+        axes.plot(*episode.poses[0, :2], marker="o", ms=5, mfc="white", mec=QUIET_INK, zorder=3)
+        self._memory = axes.add_line(Line2D([], [], color=_REMEMBERED, lw=2.2))
         if episode.remembered is not None:
             self.figure.text(0.725, 0.03, "— what it remembers around it", fontsize=8.5, color=_REMEMBERED)
 
@@ -274,15 +234,13 @@ class _Stage:
     def move_to(self, index: int) -> None:
         """Moves every artist to where it is at one of the poses."""
         episode = self._episode
-        x, y, yaw = episode.poses[index]
-        if episode.obstacle_poses is not None:
-            move_dynamic_patches(self._obstacles, episode.world, episode.obstacle_poses[index])
-        self._view.set_xy(self._views[index])
-        for line in (self._halo, self._trail):
-            line.set_data(*episode.poses[: index + 1, :2].T)
-        self._body.center = (x, y)
-        radius = episode.robot.radius
-        self._nose.set_data([x, x + radius * math.cos(yaw)], [y, y + radius * math.sin(yaw)])
+        self._plan.show(
+            episode.poses[index],
+            episode.goal,
+            self._views[index],
+            trail=episode.poses[: index + 1, :2],
+            obstacle_poses=None if episode.obstacle_poses is None else episode.obstacle_poses[index],
+        )
         self._image.set_data(masked_depth(self._depths[index], episode.camera))
         self._needle.set_xy(_needle(self._headings[index]))
         words = [
@@ -297,7 +255,7 @@ class _Stage:
         if episode.remembered is not None and index < len(episode.remembered):
             self._memory.set_data(*_arcs(episode.remembered[index], episode.poses[index]))
         if index == len(episode.poses) - 1 and episode.outcome is not None:
-            for artist in (self._verdict, self._trail):
+            for artist in (self._verdict, self._plan.trail):
                 artist.set_color(OUTCOME_COLOURS[episode.outcome])
             self._verdict.set_text(episode.outcome)
 
@@ -348,15 +306,6 @@ def _arcs(distances: np.ndarray, pose: np.ndarray) -> np.ndarray:
     points = np.where(np.isfinite(distances), distances, np.nan)[:, None] * np.stack([np.cos(angles), np.sin(angles)])
     gaps = np.full((2, count, 1), np.nan)
     return np.concatenate([points + pose[:2, None, None], gaps], axis=2).reshape(2, -1)
-
-
-def _view_outlines(depths: np.ndarray, poses: np.ndarray, camera: DepthCamera) -> np.ndarray:
-    """The part of the floor plan that each image sees as free, (K, W + 1, 2) metres in the world's frame."""
-    seen = scan_points(obstacle_depth(depths, camera), camera)
-    eye = np.broadcast_to([camera.mount_x, camera.mount_y], (len(poses), 1, 2))
-    x, y = np.moveaxis(np.concatenate([eye, seen], axis=1), -1, 0)
-    cos, sin = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
-    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1) + poses[:, None, :2]
 
 
 def _mp4(images: list[np.ndarray], frame_rate: float) -> bytes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -22,6 +22,9 @@ from navsim.task import Path, Task
 from navsim.worldsource import TRAINING_SEED, WorldSource, worlds_from
 from rl.observation import NUM_FRAMES, history_length, stack_of
 from rl.surroundings import REACH, SECTORS, Surroundings
+
+if TYPE_CHECKING:
+    from navsim.plan import PlanPictures
 
 
 class NavEnv(EnvBase):
@@ -114,6 +117,7 @@ class NavEnv(EnvBase):
         self.surroundings: Surroundings | None = None
         if surroundings:
             self.surroundings = Surroundings(num_envs, self.simulator.camera, lossy=self.simulator.sensor.loses_returns)
+        self._pictures: PlanPictures | None = None
         self._make_specs(num_envs, height, width)
 
     def _make_specs(self, n: int, height: int, width: int) -> None:
@@ -217,6 +221,23 @@ class NavEnv(EnvBase):
             return tensordict
         ended = TensorDict({"_reset": done.clone()}, batch_size=self.batch_size, device=self.device)
         return tensordict.update(self._reset(ended))
+
+    def render(self, size: int = 320) -> np.ndarray:
+        """What goes on, seen from above: each robot in its world, what it sees of it, and its goal.
+
+        TorchRL's ``PixelRenderTransform`` calls it, and its ``VideoRecorder`` makes films of that.
+
+        Args:
+            size: pixels of a side; each world is as large as fits.
+
+        Returns:
+            RGB, uint8 ``(N, size, size, 3)``.
+        """
+        if self._pictures is None or self._pictures.size != size:
+            from navsim.plan import PlanPictures  # here, since matplotlib takes longer to import than all the rest
+
+            self._pictures = PlanPictures(self.simulator, size)
+        return self._pictures.draw(self._history[:, -1].numpy())
 
     def _set_seed(self, seed: int | None) -> None:
         self.simulator.reseed(seed)

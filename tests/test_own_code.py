@@ -22,12 +22,14 @@ def test_the_examples_run(tmp_path, monkeypatch, capsys):
     torch.manual_seed(0)
     names: dict = {}
     blocks = re.findall(r"^```python\n(.*?)^```", TEXT, re.MULTILINE | re.DOTALL)
-    assert len(blocks) == 6
+    assert len(blocks) == 7
     for number, block in enumerate(blocks):
         exec(compile(block, f"{PAGE.name}, example {number + 1}", "exec"), names)
     told = capsys.readouterr().out
     assert "torch.Size([4, 10, 4, 64, 80])" in told
     assert "torch.Size([4, 10, 1])" in told
+    assert "torch.Size([4, 20, 160, 160, 3])" in told
+    assert Path("logs/own/videos/plan_0.pt").is_file()
     assert "torch.Size([2, 4, 1, 181])" in told
     assert filmed == {"path": Path("own.gif")}
     assert names["forward"] in (0.2, 0.4)

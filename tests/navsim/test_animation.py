@@ -10,9 +10,10 @@ import pytest
 import shapely
 from matplotlib.colors import to_rgb
 
-from navsim.animation import _REMEMBERED, _arcs, _view_outlines, animate_episode
+from navsim.animation import _REMEMBERED, _arcs, animate_episode
 from navsim.camera import DepthCamera
 from navsim.draw import GOAL, OUTCOME_COLOURS, ROBOT, VIEW
+from navsim.plan import views_of
 from navsim.raycast import render_depth
 from navsim.task import Task
 from navsim.world import World
@@ -80,7 +81,7 @@ def test_the_depth_image_changes_as_the_robot_approaches_the_wall(film):
 def test_the_view_ends_at_the_obstacles():
     camera = DepthCamera()
     pose = np.array([[0.5, 0.0, math.pi / 2]])
-    eye, *outline = _view_outlines(camera.to_uint8(render_depth(WORLD, pose, camera)), pose, camera)[0]
+    eye, *outline = views_of(camera.to_uint8(render_depth(WORLD, pose, camera)), pose, camera)[0]
     np.testing.assert_allclose(eye, [0.5, -0.087], atol=1e-9)  # the camera is behind the robot's centre
     solid = shapely.union(shapely.box(-3, -3, 3, 3).exterior, shapely.box(-0.3, 1.2, 0.3, 1.8))
     for point, slope in zip(outline, camera.column_slopes, strict=True):
