@@ -101,7 +101,7 @@ VALUES = st.recursive(
 )
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(data=st.data())
 def test_schema_and_loader_agree_on_whatever_is_changed_in_a_file(data):
     world = plain(RICH)

@@ -375,6 +375,7 @@ def test_an_asynchronous_run_whose_process_is_killed_goes_on_with_another(tmp_pa
     assert not multiprocessing.active_children()
 
 
+@pytest.mark.slow
 def test_a_script_that_trains_wherever_it_is_imported_is_told_how_to_be_written(tmp_path):
     """The collector's process imports the script, as every process does that is not forked."""
     script = tmp_path / "script.py"

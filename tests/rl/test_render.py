@@ -22,7 +22,9 @@ MOVING = World.from_dict(
     {
         "format": 1,
         "size": [6, 6],
-        "obstacles": [{"box": {"at": [0, 0], "size": [1, 1], "height": 1, "motion": {"path": [[0, 0], [2, 2]], "speed": 0.5}}}],
+        "obstacles": [
+            {"box": {"at": [0, 0], "size": [1, 1], "height": 1, "motion": {"path": [[0, 0], [2, 2]], "speed": 0.5}}}
+        ],
     }
 )
 

@@ -136,20 +136,18 @@ def test_a_run_of_a_later_version_says_what_to_install(run, capsys, newer):
 
 def test_processes_evaluate_a_policy_alike_to_the_byte(run, tmp_path):
     (tmp_path / "open.yaml").write_text(HALL.read_text().split("starts:")[0] + "starts: random\ngoals: random\n")
-    processes = []
-    for number in (1, 2):
-        files = [str(tmp_path / f"{number}-{kind}.json") for kind in ("listed", "drawn")]
-        script = (
-            "from rl.cli import main\n"
-            f"main(['evaluate', {str(run.directory)!r}, '--world', {str(HALL)!r}, '--json', {files[0]!r}])\n"
-            f"main(['evaluate', {str(run.directory)!r}, '--world', {str(tmp_path / 'open.yaml')!r}, "
-            f"'--num-paths', '20', '--json', {files[1]!r}])\n"
-        )
-        surroundings = {**os.environ, "PYTHONHASHSEED": str(number), "OMP_NUM_THREADS": str(number)}
-        processes.append(subprocess.Popen([sys.executable, "-c", script], env=surroundings, stdout=subprocess.DEVNULL))
-    assert [process.wait(200) for process in processes] == [0, 0]
+    commands = {}
+    for place in ("here", "elsewhere"):
+        own = ["evaluate", str(run.directory), "--json", str(tmp_path / f"{place}-listed.json"), "--world", str(HALL)]
+        drawn = ["--num-paths", "20", "--world", str(tmp_path / "open.yaml")]
+        commands[place] = [own, [*own[:2], "--json", str(tmp_path / f"{place}-drawn.json"), *drawn]]
+    script = f"from rl.cli import main\nfor arguments in {commands['elsewhere']}: main(arguments)"
+    surroundings = {**os.environ, "PYTHONHASHSEED": "1", "OMP_NUM_THREADS": str(torch.get_num_threads() + 1)}
+    with subprocess.Popen([sys.executable, "-c", script], env=surroundings, stdout=subprocess.DEVNULL) as elsewhere:
+        assert [main(arguments) for arguments in commands["here"]] == [0, 0]
+        assert elsewhere.wait(200) == 0
     for kind in ("listed", "drawn"):
-        first, second = ((tmp_path / f"{number}-{kind}.json").read_bytes() for number in (1, 2))
+        first, second = ((tmp_path / f"{place}-{kind}.json").read_bytes() for place in commands)
         assert json.loads(first)["paths"]
         assert first == second
 
