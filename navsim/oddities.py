@@ -50,7 +50,7 @@ class Equipment:
     @cached_property
     def highest_seen(self) -> float:
         """Height above which the camera sees nothing within its range, metres."""
-        return self.camera.mount_z + self.camera.max_range * max(0.0, float(self.camera.row_slopes.max()))
+        return self.camera.mount_z + self.camera.max_range * max(0.0, float(self.camera.row_climbs.max()))
 
 
 def outlines(obstacles: Sequence[Obstacle]) -> list[shapely.Polygon]:
@@ -209,7 +209,8 @@ def ended_at_once(world: World, equipment: Equipment) -> Iterator[Problem]:
     for i, start in enumerate(world.starts):
         yaws = _VIEWS if start.yaw_deg is None else np.deg2rad([start.yaw_deg])
         poses = np.column_stack([np.tile(start.at, (len(yaws), 1)), yaws])
-        nearest = render_depth(standing, poses, equipment.camera).min(axis=(1, 2))
+        images = equipment.camera.from_planar(render_depth(standing, poses, equipment.camera))
+        nearest = images.min(axis=(1, 2))
         if nearest.max() >= limit:
             continue
         ahead = "whichever way it faces" if start.yaw_deg is None else f"facing {start.yaw_deg:g}°"

@@ -33,7 +33,7 @@ from navsim.dynamics import Dynamics, MovingPrisms, dynamic_obstacles
 from navsim.footprints import Footprints
 from navsim.motion_rules import sweeps
 from navsim.planner import DistanceField, shortest_path
-from navsim.raycast import Scene, cast, nearest_depth
+from navsim.raycast import Scene, nearest_depth
 from navsim.robot import ACTIONS, INITIAL_COMMAND, NUM_ACTIONS, TURTLEBOT2, Robot, apply_actions, wrap_angle
 from navsim.simulator import Simulator
 from navsim.task import Task, goal_distance
@@ -138,7 +138,8 @@ class Oracle:
         ):
             return None
         row = np.zeros(self._rules.dynamics.most)
-        row[: len(phases)] = phases
+        own = phases[: len(row)]  # a simulator's other worlds have more
+        row[: len(own)] = own
         efforts = (_EFFORTS[0], _COARSE, *_EFFORTS[1:]) if self._rules.anything_moves else _EFFORTS
         for effort, world in itertools.product(efforts, self._maps):
             actions = _search(pose, target, row, effort, self._rules, self._guide(world, target, effort))
@@ -328,11 +329,6 @@ class _Rules:
         doubtful = np.flatnonzero(clear < reach)
         index, moving = self._seen(doubtful, obstacles)
         near[doubtful] = nearest_depth(self._scene, index, poses[doubtful], camera, limit, moving=moving) < limit
-        if camera.depth == "range" and near.any():
-            doubtful = np.flatnonzero(near)  # a ray is longer than its planar depth
-            index, moving = self._seen(doubtful, obstacles)
-            images = cast(self._scene, index, poses[doubtful], camera, moving=moving)
-            near[doubtful] = camera.from_planar(images).min(axis=(1, 2)) < limit
         return near
 
     def _seen(self, nodes: np.ndarray, obstacles: np.ndarray) -> tuple[np.ndarray, MovingPrisms | None]:

@@ -76,6 +76,12 @@ class Physics:
     ) -> None:
         if not (math.isfinite(substep) and substep > 0.0):
             raise ValueError(f"the physics substep must be a positive number of seconds; got {substep!r}")
+        longest = robot.radius / robot.max_linear_speed
+        if substep > longest + 1e-9:
+            raise ValueError(
+                f"the physics substep must be at most {longest:.3g} s, in which the robot moves by its radius; got "
+                f"{substep:g} s, in which it could pass through thin walls"
+            )
         self.worlds = tuple(worlds)
         self.robot = robot
         self.substep = substep
@@ -336,7 +342,8 @@ def obstacle_poses_along(
         ``(K + 1, D, 3)``, at the beginning and after each command; see ``navsim.dynamics``.
     """
     physics = Physics([world], 1, robot, substep)
-    physics.place([0], 0, np.asarray(start, dtype=np.float64)[None], phases)
+    own = phases[: physics.dynamics.most]  # a simulator's other worlds have more
+    physics.place([0], 0, np.asarray(start, dtype=np.float64)[None], own)
     poses = [physics.obstacle_poses[0].copy()]
     for command in with_wheel_errors(commands, np.array([wheel_errors])):
         physics.drive(command[None], duration)

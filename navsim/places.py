@@ -80,18 +80,25 @@ class RandomPlaces:
             ValueError: for a world without room.
         """
         found: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        free: dict[int, np.ndarray] = {}  # the last place that each robot could start from
         waiting = list(range(len(generators)))
         for attempt in range(_ROUNDS):
             needs_start = np.array([starts[robot] is None for robot in waiting])
-            given = [starts[robot] if goals[robot] is None else goals[robot] for robot in waiting]
-            listed = np.array([np.full(2, np.nan) if place is None else place[:2] for place in given])
-            begins, ends = self._candidates([generators[robot] for robot in waiting], needs_start, listed, attempt)
+            known = np.full((len(waiting), 2), np.nan)
+            for row, robot in enumerate(waiting):
+                place = starts[robot] if goals[robot] is None else goals[robot]
+                place = free.get(robot) if place is None else place
+                if place is not None:
+                    known[row] = place[:2]
+            begins, ends = self._candidates([generators[robot] for robot in waiting], needs_start, known, attempt)
             for row, robot in enumerate(waiting):
                 start, goal = starts[robot], goals[robot]
                 if start is not None:
                     begins[row] = start
                 if goal is not None:
                     ends[row], ends[row, 0] = np.nan, goal
+                if not np.isnan(begins[row, 0]):
+                    free[robot] = begins[row]
             connected = self._connected(begins, ends)
             for row in np.flatnonzero(connected.any(axis=1)).tolist():
                 found[waiting[row]] = begins[row], ends[row, int(np.argmax(connected[row]))]
@@ -111,18 +118,18 @@ class RandomPlaces:
         return bool(has_room and self._connected(start[None], goal[None, None])[0, 0])
 
     def _candidates(
-        self, generators: Sequence[np.random.Generator], needs_start: np.ndarray, listed: np.ndarray, attempt: int
+        self, generators: Sequence[np.random.Generator], needs_start: np.ndarray, known: np.ndarray, attempt: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """A start ``(N, 3)`` and some goals ``(N, _ENDS, 2)`` for each generator; NaN where there are fewer.
 
-        Starts are looked for where ``needs_start`` ``(N,)`` is set. ``listed`` ``(N, 2)`` is the start or goal that is
-        given, NaN where none is: what it is connected with may be a closet of a large building, so that in the end
-        places are drawn around it, nearer and less near.
+        Starts are looked for where ``needs_start`` ``(N,)`` is set. ``known`` ``(N, 2)`` is the start or goal that is
+        given, or where one could start, NaN where there is none: what it is connected with may be a closet of a large
+        building, so that in the end places are drawn around it, nearer and less near.
         """
         drawn = np.stack([generator.uniform(-1.0, 1.0, (_POINTS, 3)) for generator in generators])
         points = drawn[..., :2] * self._half_size
         if attempt >= _PATIENCE:
-            around = listed[:, None] + points / 2 ** (attempt % _ZOOMS)
+            around = known[:, None] + points / 2 ** (attempt % _ZOOMS)
             points = np.where(np.isnan(around), points, around)
         inside = (np.abs(points) <= self._half_size).all(axis=-1)
         room = np.where(inside, self._room(points.reshape(-1, 2)).reshape(points.shape[:2]), -np.inf)

@@ -352,13 +352,13 @@ class _Grid:
         index = np.arange(len(self.points)).reshape(self._rows, self._columns)
         tails, heads = [], []
         for dx, dy in self.DIRECTIONS:
-            up, right = slice(max(dy, 0), None), slice(dx, None)
-            down, left = slice(max(-dy, 0), self._rows - max(dy, 0)), slice(0, self._columns - dx)
-            tail = index[down, left]
-            head = index[up, right][: tail.shape[0]] if dy >= 0 else index[: self._rows + dy, right]
-            tails.append(tail.ravel())
-            heads.append(head.ravel())
-        tail, head = np.concatenate(tails), np.concatenate(heads)
+            if abs(dy) >= self._rows or dx >= self._columns:
+                continue
+            last_row, last_column = self._rows - abs(dy), self._columns - dx
+            down, up = max(-dy, 0), max(dy, 0)
+            tails.append(index[down : down + last_row, :last_column].ravel())
+            heads.append(index[up : up + last_row, dx:].ravel())
+        tail, head = np.concatenate(tails), np.concatenate(heads)  # a grid has two rows and columns at least
         fits = self.free[tail] & self.free[head]
         tail, head = tail[fits], head[fits]
         length = np.linalg.norm(self.points[head] - self.points[tail], axis=1)

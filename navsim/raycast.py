@@ -223,16 +223,7 @@ def cast(
         ``(N, H, W)`` float32, planar depth in metres, at most ``camera.max_range``.
     """
     mounts = camera.mounts(len(poses)) if mounts is None else mounts
-    pitched = mounts.pitch != 0.0
-    subjects = _Subjects(scene, world_index, poses, mounts, moving)
-    if not pitched.any():
-        return _cast_level(subjects, camera)
-    if pitched.all():
-        return _cast_pitched(subjects, camera)
-    image = np.empty((len(poses), camera.height, camera.width), dtype=np.float32)
-    for cast_some, some in ((_cast_level, ~pitched), (_cast_pitched, pitched)):
-        image[some] = cast_some(subjects.of(some), camera)
-    return image
+    return _cast(_Subjects(scene, world_index, poses, mounts, moving), camera)
 
 
 def nearest_depth(
@@ -245,7 +236,7 @@ def nearest_depth(
     mounts: Mounts | None = None,
     moving: MovingPrisms | None = None,
 ) -> np.ndarray:
-    """The least planar depth that any pixel sees of an obstacle or a wall, the floor left out.
+    """The least depth, of the camera's kind, that any pixel sees of an obstacle or a wall, the floor left out.
 
     Args:
         scene, world_index, poses, camera, mounts, moving: as for ``cast``.
@@ -263,6 +254,8 @@ def nearest_depth(
     for find, some in ((_nearest_level, ~pitched), (_nearest_pitched, pitched)):
         if some.any():
             nearest[some] = find(subjects.of(some), camera, within)
+    if camera.depth == "range" and (near := nearest < within).any():  # no ray is shorter than its planar depth
+        nearest[near] = _nearest_range(subjects.of(near), camera, within)
     return nearest
 
 
@@ -299,6 +292,26 @@ class _Subjects(NamedTuple):
 
 
 # ---- level cameras: column by column
+
+
+def _cast(subjects: _Subjects, camera: DepthCamera) -> np.ndarray:
+    pitched = subjects.mounts.pitch != 0.0
+    if not pitched.any():
+        return _cast_level(subjects, camera)
+    if pitched.all():
+        return _cast_pitched(subjects, camera)
+    image = np.empty((len(pitched), camera.height, camera.width), dtype=np.float32)
+    for cast_some, some in ((_cast_level, ~pitched), (_cast_pitched, pitched)):
+        image[some] = cast_some(subjects.of(some), camera)
+    return image
+
+
+def _nearest_range(subjects: _Subjects, camera: DepthCamera, within: float) -> np.ndarray:
+    """What ``nearest_depth`` tells of a camera that measures along its rays: their pixels are looked at one by one."""
+    image = _cast(subjects, camera)
+    nothing = subjects._replace(scene=Scene([()]), world_index=np.zeros(len(image), dtype=np.intp), moving=None)
+    ranges = np.where(image < _cast(nothing, camera), image * camera.ray_lengths, np.float32(np.inf))
+    return np.minimum(ranges.min(axis=(1, 2)), np.float32(within))
 
 
 def _cast_level(subjects: _Subjects, camera: DepthCamera) -> np.ndarray:

@@ -49,6 +49,8 @@ def _arranged(world: World, pieces: list[_Piece], generator: np.random.Generator
     for piece in pieces:
         for _ in range(_TRIES):
             turn, offset = piece.place(generator, world.half_size - piece.margin, gap)
+            if offset is None:
+                continue
             outline = piece.outline @ turn.T + offset
             if (np.abs(outline) > world.half_size).any():
                 continue
@@ -78,8 +80,13 @@ class _Piece:
             [Prism(p.name, p.obstacle, p.base, p.top, p.vertices - self.centre, p.radius) for p in prisms]
         )
 
-    def place(self, generator: np.random.Generator, half_size: np.ndarray, gap: float) -> tuple[np.ndarray, np.ndarray]:
-        """A rotation ``(2, 2)`` and an offset ``(2,)``: half of the time somewhere in the room, else against a wall."""
+    def place(
+        self, generator: np.random.Generator, half_size: np.ndarray, gap: float
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """A rotation ``(2, 2)`` and an offset ``(2,)``: half of the time somewhere in the room, else against a wall.
+
+        There is no offset where it would leave a gap that is narrower than ``gap`` to a wall.
+        """
         against_wall = generator.random() < 0.5
         angle = generator.integers(4) * math.pi / 2 if against_wall else generator.uniform(-math.pi, math.pi)
         turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
@@ -87,11 +94,13 @@ class _Piece:
         low, high = -half_size - turned.min(axis=0), half_size - turned.max(axis=0)
         inner_low, inner_high = low + gap, high - gap
         offset = generator.uniform(np.minimum(inner_low, inner_high), np.maximum(inner_low, inner_high))
+        needed = np.full(2, 2.0 * gap)
         if against_wall:
             axis = int(generator.integers(2))
             # A hair's breadth off the wall, or rounding would put corners behind it.
             offset[axis] = low[axis] + 1e-6 if generator.random() < 0.5 else high[axis] - 1e-6
-        return turn, offset
+            needed[axis] = gap
+        return turn, offset if (high - low >= needed).all() else None
 
 
 def _pieces(world: World) -> list[_Piece]:

@@ -170,7 +170,7 @@ def _no_room_to_drive(space: FreeSpace) -> list[Problem]:
 def _lattices(space: FreeSpace) -> Iterator[np.ndarray]:
     """Places all over a space, ``(K, 2)``, metres: a few, then more and more."""
     step = float(space.half_extents.max()) / 8.0
-    while space.half_extents.min() >= 0.0:
+    while space.half_extents.min() > 0.0:
         x, y = (np.arange(-half + 0.5 * min(step, half), half, step) for half in space.half_extents)
         yield np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         if 4 * len(x) * len(y) > MOST_PLACES:

@@ -113,6 +113,9 @@ class Simulator:
         if isinstance(worlds, str | PathLike):
             raise TypeError(f"a simulator takes worlds, not their names: load_world({str(worlds)!r}) reads one")
         self.worlds = (worlds,) if isinstance(worlds, World) else tuple(worlds)
+        for world in self.worlds:
+            if not isinstance(world, World):
+                raise TypeError(f"a simulator takes worlds, not {world!r}: load_world reads one from a file")
         if not self.worlds:
             raise ValueError("a simulator needs at least one world; got an empty sequence")
         if num_robots < 1:
@@ -301,6 +304,12 @@ class Simulator:
             raise ValueError(
                 f"the state holds {len(state['steps'])} robots, but this simulator has {self.num_robots}: "
                 "create it with the same num_robots"
+            )
+        worlds = int(np.max(state["physics"]["world_index"], initial=0)) + 1
+        if worlds > len(self.worlds):
+            raise ValueError(
+                f"the state's robots are in {worlds} worlds or more, and this simulator has {len(self.worlds)}: "
+                "create it with the same worlds"
             )
         # States from before it was kept have no such entry.
         missing = {

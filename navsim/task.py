@@ -182,8 +182,8 @@ class Episodes:
     A listed start without a yaw faces one of 72 directions, uniformly among those with a free view of
     ``task.start_view``; where there is none, the direction with the longest. A random place is one of the room where
     the robot fits, uniformly; a start has 5 cm to spare there, and that free view in the direction that is drawn with
-    it (or at least ``collision_depth``, in a world where it is hard to find). Starts and goals are further apart than
-    ``goal_radius`` and connected.
+    it. Starts and goals are further apart than ``goal_radius`` and connected. In a world where they are hard to find,
+    a view of ``collision_depth`` is enough, and they are drawn around the other end, or where a robot could start.
 
     Where something moves, its phases are drawn first, and again (with the yaw, or the place) until nothing that moves
     is nearer to the start than 5 cm or overlaps with what can be pushed, and until the view is as free as it would be

@@ -310,7 +310,7 @@ def _shape_settings(entry: Any) -> object:
 
 
 def _point_as_settings(value: object) -> object:
-    return {"at": value} if isinstance(value, (list, tuple)) else value
+    return {"at": value} if isinstance(value, (list, tuple, np.ndarray)) else value
 
 
 class _Place(_Settings):
@@ -330,6 +330,7 @@ class Goal(_Place):
 
 
 def _random_or_list(value: object) -> object:
+    value = list(value) if isinstance(value, np.ndarray) and value.ndim else value
     if isinstance(value, str) and value != "random":
         raise ValueError(f"must be 'random' or a list of points, not {_shown(value)}")
     if isinstance(value, (list, tuple)) and not value:

@@ -64,12 +64,12 @@ class Part:
         """An entry of a world's ``obstacles``, in whole millimetres and hundredths of a degree."""
         settings: dict[str, Any] = {"name": self.name, "at": [_rounded(value) for value in self.at]}
         if self.size:
-            settings["size"] = [_rounded(value) for value in self.size]
+            settings["size"] = [_length(value) for value in self.size]
         else:
-            settings["radius"] = _rounded(self.radius or 0.0)
+            settings["radius"] = _length(self.radius or 0.0)
         if self.base:
             settings["base"] = _rounded(self.base)
-        settings["height"] = _rounded(self.height)
+        settings["height"] = _length(self.height)
         if not self.size:
             return {"cylinder": settings}
         yaw_deg = round(math.remainder(self.yaw_deg, 180.0), 2)  # half a turn brings a box back to itself
@@ -80,6 +80,10 @@ class Part:
 
 def _rounded(value: float) -> float:
     return round(value, DECIMALS) + 0.0  # no negative zeros
+
+
+def _length(value: float) -> float:
+    return max(_rounded(value), 10.0**-DECIMALS)  # nothing is so small that it is not there
 
 
 @dataclass(frozen=True)

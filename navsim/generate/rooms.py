@@ -134,8 +134,8 @@ class RoomSettings:
             meant = difflib.get_close_matches(str(self.kind).lower(), KINDS, n=1)
             remedy = f'did you mean "{meant[0]}"?' if meant else f"the kinds are {', '.join(KINDS)}"
             raise ValueError(f'"{self.kind}" is not a kind of room; {remedy}')
-        if len(self.size) != 2 or not all(SMALLEST_SIZE <= length <= LARGEST_SIZE for length in self.size):
-            shown = " by ".join(f"{length:g}" for length in self.size)
+        if np.shape(self.size) != (2,) or not all(SMALLEST_SIZE <= length <= LARGEST_SIZE for length in self.size):
+            shown = " by ".join(f"{length:g}" for length in self.size) if np.ndim(self.size) == 1 else self.size
             raise ValueError(
                 f"size must be two lengths from {SMALLEST_SIZE:g} to {LARGEST_SIZE:g} m; got {shown}, choose others"
             )
@@ -144,7 +144,7 @@ class RoomSettings:
                 f"density is the share of the floor that is covered, more than 0 and at most {LARGEST_DENSITY:g}; got "
                 f"{self.density:g}"
             )
-        if isinstance(self.seed, bool) or self.seed < 0:
+        if isinstance(self.seed, bool) or not isinstance(self.seed, int | np.integer) or self.seed < 0:
             raise ValueError(f"seed must be a whole number, at least 0; got {self.seed!r}")
         object.__setattr__(self, "size", (float(self.size[0]), float(self.size[1])))
 

@@ -20,7 +20,7 @@ import navsim
 from navsim.check import check_file, check_files, check_text, summarise, unsolved
 from navsim.diagnostics import print_findings, print_reports
 from navsim.errors import WorldError
-from navsim.oddities import Equipment
+from navsim.oddities import Equipment, oddities
 from navsim.robot import Robot
 from navsim.world import Box, Cylinder, Polygon, World
 from navsim.worldfile import parse_text, text_lines
@@ -389,3 +389,13 @@ def test_a_table_has_a_row_for_each_path(tmp_path):
     _, out, _ = statuses([RICH], tmp_path, paths=True)
     assert out.count("│") >= 6 * 4
     assert np.isclose(float(out.split("shortest paths")[1].split()[1]), 1.0, atol=5)
+
+
+def test_what_only_a_camera_that_looks_up_sees_is_not_out_of_sight():
+    high = Box(at=(3.5, 0), size=(0.5, 2), base=2.6, height=0.3)
+    world = World(size=(12, 7), obstacles=[high], starts=[(-1, 0)], goals=[(2, 2)])
+    looking_up = navsim.DepthCamera(pitch_deg=-25)
+    assert (navsim.render_depth(world, np.array([[-1.0, 0, 0]]), looking_up) < 5.0).any()
+    told = [problem.text for problem in oddities(world, Equipment(camera=looking_up))]
+    assert not any("it changes nothing" in text for text in told)
+    assert any("it changes nothing" in problem.text for problem in oddities(world))

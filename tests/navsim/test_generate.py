@@ -425,3 +425,20 @@ def test_a_killed_process_of_those_that_make_rooms_is_told(tmp_path):
     with pytest.raises(WorkerDeathError, match=rf"that make rooms was killed.*remove the rooms in {tmp_path}"):
         list(rooms)
     assert set(multiprocessing.active_children()) <= before
+
+
+def test_so_little_furniture_that_it_would_be_thinner_than_a_millimetre_is_refused():
+    with pytest.raises(ValueError, match="no clutter with density 0.0001 was found for a room of 2 by 2 m"):
+        generate_world("clutter", (2.0, 2.0), 1e-4, seed=1)
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"size": 7}, "size must be two lengths from 2 to 60 m; got 7, choose others"),
+        ({"seed": 1.5}, "seed must be a whole number, at least 0; got 1.5"),
+    ],
+)
+def test_near_misses_are_told_in_a_sentence(settings, told):
+    with pytest.raises(ValueError, match=told):
+        generate_world(**settings)

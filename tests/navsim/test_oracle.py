@@ -9,6 +9,7 @@ import pytest
 
 from navsim.camera import DepthCamera
 from navsim.oracle import Oracle, plan
+from navsim.physics import obstacle_poses_along
 from navsim.planner import shortest_path_length
 from navsim.raycast import render_depth
 from navsim.robot import TURTLEBOT2, Robot
@@ -207,3 +208,29 @@ def test_equal_questions_get_equal_answers():
 
 def test_the_default_robot_is_the_turtlebot():
     assert Oracle(make_world([])).robot == TURTLEBOT2
+
+
+@pytest.mark.parametrize("width", [0.48, 0.5, 0.6])
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_way_through_a_room_hardly_wider_than_the_robot_is_found(width, turned):
+    size, ahead = ((6.0, width), np.array([1.0, 0.0])) if turned else ((width, 6.0), np.array([0.0, 1.0]))
+    world = World(size=size, starts=[tuple(-2.0 * ahead)], goals=[tuple(2.0 * ahead)])
+    pose = np.array([*(-2.0 * ahead), math.atan2(ahead[1], ahead[0])])
+    assert len(plan(world, pose, 2.0 * ahead)) == 44  # to the goal's disc, straight on
+
+
+def test_phases_may_be_those_of_a_simulator_with_worlds_where_more_moves():
+    cart = {"box": {"at": [0, 2], "size": [0.3, 0.3], "height": 1, "motion": {"path": [[0, 2], [1, 2]], "speed": 0.1}}}
+    other = {
+        "box": {"at": [0, -2], "size": [0.3, 0.3], "height": 1, "motion": {"path": [[0, -2], [1, -2]], "speed": 0.1}}
+    }
+    one, two = make_world([cart], start=(-2.0, 0.0)), make_world([cart, other], start=(-2.0, 0.0))
+    simulator = Simulator([one, two], 2, seed=0)
+    simulator.reset()
+    phases = simulator.phases[0]
+    assert phases.shape == (2,)
+    pose, goal = simulator.poses[0], simulator.goals[0]
+    np.testing.assert_array_equal(Oracle(one).plan(pose, goal, phases), Oracle(one).plan(pose, goal, phases[:1]))
+    commands = np.array([[0.2, 0.0]] * 3)
+    along = obstacle_poses_along(one, pose, phases, commands, 0.2)
+    np.testing.assert_array_equal(along, obstacle_poses_along(one, pose, phases[:1], commands, 0.2))

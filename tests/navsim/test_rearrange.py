@@ -10,6 +10,7 @@ import shapely
 
 from navsim import World, load_world
 from navsim.rearrange import TOGETHER, rearrange
+from navsim.world import Box
 
 GAP = 0.9
 
@@ -118,3 +119,16 @@ def test_nothing_small_is_put_into_something_large():
     apart = [one.distance(other) for one, other in (room for room in rooms if len(room) == 2)]
     assert len(apart) > 30
     assert min(apart) > GAP - 0.02
+
+
+@pytest.mark.parametrize("sides", [(5.6, 0.3), (1.1, 1.1)])
+def test_a_piece_as_long_as_the_room_leaves_no_narrow_gap(sides):
+    size = 7.0 if max(sides) > 2.0 else 3.0
+    world = World(size=(size, size), obstacles=[Box(at=(0, 0), size=sides, height=1.0)])
+    rooms = rearrange(world, 60, np.random.default_rng(0), GAP)
+    for room in rooms:
+        for shape in shapes(room):
+            west, south, east, north = np.asarray(shape.bounds) + size / 2.0
+            gaps = np.array([west, south, size - east, size - north])
+            assert ((gaps < 0.01) | (gaps >= GAP - 1e-6)).all()
+    assert sum(bool(room.obstacles) for room in rooms) > 20

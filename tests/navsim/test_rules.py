@@ -162,3 +162,9 @@ def test_a_world_is_accepted_exactly_when_its_pairs_have_room_and_a_path(seed):
     paths = [shortest_path_length(world, start, goal, goal_radius=0.0) for start in starts for goal in goals]
     accepted = problems_of(*walls, starts=starts.tolist(), goals=goals.tolist()) == []
     assert accepted == bool(has_room and np.isfinite(paths).all())
+
+
+@pytest.mark.parametrize("size", [[0.351, 2.0], [0.351, 0.351], [2.0, 0.3511]])
+def test_a_room_just_as_wide_as_the_robot_has_no_room_for_a_start(size):
+    with pytest.raises(WorldError, match="starts: there is no room for a random start"):
+        World.from_dict({"format": 1, "size": size})

@@ -458,7 +458,7 @@ def test_a_copy_collides_like_what_it_is_a_copy_of(copied):
 
 
 def test_a_reset_that_is_refused_changes_nothing():
-    worlds = [cluttered_world(0), cluttered_world(1), make_world(size=(0.8, 0.8), starts="random", goals="random")]
+    worlds = [cluttered_world(0), cluttered_world(1), make_world(size=(0.46, 1.2), starts="random", goals="random")]
     simulator = Simulator(worlds, 3, camera=SMALL, seed=0)
     good = [Path(0, 0, 0), Path(1, 1, 1), Path(0, 0, 0)]
     simulator.reset(paths=good)
@@ -512,3 +512,32 @@ def test_a_tilted_camera_may_look_at_nothing_before_it_starts():
     task = Task(collision_depth=0.0, start_view=0.0)
     simulator = Simulator(cluttered_world(0), camera=DepthCamera(width=20, height=16, pitch_deg=5.0), task=task, seed=0)
     assert simulator.reset().depth.any()
+
+
+def test_a_state_of_more_worlds_is_refused_and_changes_nothing():
+    several = Simulator([straight_world()] * 3, 3, camera=SMALL, seed=0)
+    several.reset()
+    one = Simulator(straight_world(), 3, camera=SMALL, seed=1)
+    one.reset()
+    before = pickle.dumps(one.state_dict())
+    with pytest.raises(ValueError, match="the state's robots are in 3 worlds or more, and this simulator has 1"):
+        one.load_state_dict(several.state_dict())
+    assert pickle.dumps(one.state_dict()) == before
+
+
+def test_names_of_worlds_are_no_worlds():
+    with pytest.raises(TypeError, match="a simulator takes worlds, not 'complex_train': load_world reads one"):
+        Simulator([straight_world(), "complex_train"])
+
+
+def test_a_substep_in_which_the_robot_could_pass_a_wall_is_refused():
+    with pytest.raises(ValueError, match=r"the physics substep must be at most 0.27 s, .*; got 1 s"):
+        Simulator(straight_world(), task=Task(control_period=1.0, substep=1.0))
+    wall = {"box": {"at": [0.0, 0.0], "size": [0.01, 4.0], "height": 1.0}}
+    task = Task(control_period=1.0, substep=0.27, collision_depth=0.0)
+    simulator = Simulator(straight_world(wall, start=(-1.03, 0.0)), camera=SMALL, task=task)
+    simulator.reset()
+    bumped = [bool(simulator.step(np.array([FASTER])).bumper[0])]
+    while not bumped[-1]:
+        bumped.append(bool(simulator.step(np.array([FASTER])).bumper[0]))
+    assert simulator.poses[0, 0] < 0.0

@@ -7,10 +7,11 @@ import shapely
 from navsim.camera import DepthCamera
 from navsim.places import START_CLEARANCE
 from navsim.planner import shortest_path_length
-from navsim.raycast import Scene, cast
+from navsim.raycast import Scene, cast, nearest_depth
 from navsim.robot import TURTLEBOT2
 from navsim.task import Episodes, Path, Task, goal_distance, heading, rewards
 from navsim.world import World
+from navsim.worldfile import load_world
 
 CAMERA = DepthCamera()
 TASK = Task()
@@ -303,3 +304,42 @@ def test_a_start_that_is_never_wholly_free_is_not_looked_at_for_long(monkeypatch
 def test_a_camera_that_sees_no_further_than_the_depth_rule_is_told_by_its_range():
     with pytest.raises(ValueError, match=r"sees no further than its max_range of 0.45 m"):
         Task(collision_depth=0.5).check_camera(DepthCamera(max_range=0.45))
+
+
+SCANNER = DepthCamera(
+    width=181,
+    height=1,
+    horizontal_fov_deg=170,
+    vertical_fov_deg=1.0,
+    depth="range",
+    blind_zone=0.0,
+    mount_x=0.0,
+    mount_z=0.2,
+)
+
+
+@pytest.mark.parametrize("camera", [SCANNER, DepthCamera(depth="range", width=20, height=16, vertical_fov_deg=70)])
+def test_views_are_what_a_range_camera_measures(camera):
+    """At 85 degrees off the axis, a wall 1 m away to the side has a planar depth of 9 cm."""
+    world = load_world("complex_train")
+    generator = np.random.default_rng(0)
+    scene, index = Scene([world, make_world(walls="none")]), np.zeros(60, dtype=np.intp)
+    poses = np.column_stack([generator.uniform(-3.2, 3.2, (60, 2)), generator.uniform(-math.pi, math.pi, 60)])
+    pictures, floors = cast(scene, index, poses, camera), cast(scene, index + 1, poses, camera)
+    ranges = np.where(pictures < floors, pictures * camera.ray_lengths, np.inf).min(axis=(1, 2))
+    np.testing.assert_array_equal(nearest_depth(scene, index, poses, camera, 0.8), np.minimum(ranges, np.float32(0.8)))
+    assert ((ranges > 0.2) & (ranges < 0.8)).sum() > 10
+
+
+def test_a_scanner_finds_random_places_where_a_camera_does():
+    world = load_world("complex_train").replace(starts="random", goals="random")
+    for episode in drawn(world, 5, camera=SCANNER):
+        picture = SCANNER.from_planar(cast(Scene([world]), np.array([0]), episode.pose[None], SCANNER))
+        assert picture.min() >= TASK.start_view
+
+
+def test_places_are_found_in_a_large_room_of_which_little_is_free():
+    world = make_world({"box": {"at": [-0.5, 0], "size": [99, 100], "height": 1}}, size=(100, 100))
+    for episode in drawn(world, 30):
+        assert episode.pose[0] > 49 + TURTLEBOT2.radius
+        assert episode.goal[0] > 49 + TURTLEBOT2.radius

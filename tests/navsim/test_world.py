@@ -332,3 +332,9 @@ def test_whatever_stands_in_the_place_of_a_value_is_a_world_or_a_world_error(pat
         world, problems = None, error.problems
     assert all(problem and "\n" not in problem and "such as ," not in problem for problem in problems)
     assert bool(problems) or World.from_dict(world.to_dict()) == world
+
+
+def test_places_may_be_arrays():
+    starts, goals = np.array([[0.0, 0.0], [1.0, 1.0]]), [np.array([2.0, 2.0])]
+    world = World(size=(7, 7), starts=starts, goals=goals)
+    assert world == World(size=(7, 7), starts=starts.tolist(), goals=[(2.0, 2.0)])
