@@ -30,8 +30,9 @@ class D3QNLoss(DQNLoss):
     (van Hasselt et al. 2016, arXiv 1509.06461); without ``double_dqn``, with Q⁻'s own maximum. An episode that the time
     limit ended is ``truncated``, not ``terminated``, so its last observation is bootstrapped from.
 
-    What ``DQNLoss`` spends beside the networks (copies of tensordicts, ``step_mdp``, actions nobody reads, gradients
-    through nothing) is gone, and ``rl.joint.hidden_of_update`` passes s and s' through a ``D3QN`` in fewer products.
+    With a ``D3QN``, what ``DQNLoss`` spends beside the network (copies of tensordicts, ``step_mdp``, actions nobody
+    reads, gradients through nothing) is gone, and ``rl.joint.hidden_of_update`` passes s and s' through it in fewer
+    products. Networks of another kind are called as ``DQNLoss`` calls them.
 
     Like ``DQNLoss``, it writes the squared error into the tensordict as ``td_error``, ``(B, 1)``, the priority of
     prioritised replay, and weighs samples by their ``priority_weight`` if they have one. Unlike it, it also writes
@@ -50,7 +51,7 @@ class D3QNLoss(DQNLoss):
         reduction: how the samples' losses are combined.
 
     Raises:
-        ValueError: for an actor other than a ``QValueActor`` around one network, with a categorical action space.
+        ValueError: for an actor other than a ``QValueActor`` with a categorical action space.
 
     >>> from torchrl.objectives import SoftUpdate
     >>> from rl.networks import make_q_actor
@@ -82,14 +83,10 @@ class D3QNLoss(DQNLoss):
         autocast: torch.dtype | None = None,
         reduction: Literal["mean", "sum", "none"] = "mean",
     ) -> None:
-        if not (
-            isinstance(q_actor, QValueActor)
-            and isinstance(q_actor.module[0], TensorDictModule)
-            and q_actor.module[1].action_space == "categorical"
-        ):
+        if not (isinstance(q_actor, QValueActor) and q_actor.module[1].action_space == "categorical"):
             raise ValueError(
-                "D3QNLoss needs a QValueActor around one network, with a categorical action space, as make_q_actor"
-                f" returns it; got {type(q_actor).__name__}"
+                "D3QNLoss needs a QValueActor with a categorical action space, as make_q_actor returns it; got "
+                f"{type(q_actor).__name__}"
             )
         super().__init__(
             q_actor,
@@ -114,11 +111,12 @@ class D3QNLoss(DQNLoss):
             a tensordict with ``loss``, a scalar unless the reduction is "none".
         """
         keys = self.tensor_keys
-        observation, next_observation = self._observations(tensordict)
-        with self._autocast(observation[0].device.type):
-            action_value, next_value = self._values(observation, next_observation)
-
         action = tensordict.get(keys.action)
+        with self._autocast(action.device.type):
+            if self._is_of_d3qn and tensordict.ndim == 1:
+                action_value, next_value = self._values(*self._observations(tensordict))
+            else:
+                action_value, next_value = self._values_of_actor(tensordict)
         if action.ndim < action_value.ndim:
             action = action.unsqueeze(-1)
         chosen_value = action_value.gather(-1, action)
@@ -140,27 +138,51 @@ class D3QNLoss(DQNLoss):
     def _values(self, observation: tuple[Tensor, ...], next_observation: tuple[Tensor, ...]) -> tuple[Tensor, Tensor]:
         """Online action values of s, ``(B, actions)``, and what s' is worth, ``(B, 1)``."""
         online, target = self._networks_of_weights()
-        if is_plain(online) and is_plain(target) and observation[0].ndim == 4:
-            hidden, next_hidden, choosing_hidden = hidden_of_update(
-                online, target, observation, next_observation, double=self.double_dqn
-            )
-            action_value = online.head(hidden)
-            with torch.no_grad():
-                target_value = target.head(next_hidden)
-                choosing_value = online.head(choosing_hidden) if self.double_dqn else target_value
-        else:
-            action_value = online(*observation)
-            with torch.no_grad():
-                target_value = target(*next_observation)
-                choosing_value = online(*next_observation) if self.double_dqn else target_value
+        hidden, next_hidden, choosing_hidden = hidden_of_update(
+            online, target, observation, next_observation, double=self.double_dqn
+        )
+        action_value = online.head(hidden)
+        with torch.no_grad():
+            target_value = target.head(next_hidden)
+            choosing_value = online.head(choosing_hidden) if self.double_dqn else target_value
         return action_value, target_value.gather(-1, choosing_value.argmax(-1, keepdim=True))
 
-    def _networks_of_weights(self) -> tuple[nn.Module, nn.Module]:
+    def _values_of_actor(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
+        """The same of any actor, as DQNLoss has them: with the weights of one network put into it after the other."""
+        actor, keys = self.value_network, self.tensor_keys
+        before = tensordict.select(*actor.in_keys, strict=False)
+        after = tensordict.get("next").select(*actor.in_keys, strict=False)
+        chosen = after.copy()
+        with self.value_network_params.to_module(actor, preserve_module_state=False):
+            actor(before)
+            if self.double_dqn:
+                with torch.no_grad():
+                    actor(chosen)
+        with torch.no_grad(), self.target_value_network_params.to_module(actor, preserve_module_state=False):
+            actor(after)
+        target_value = after.get(keys.action_value)
+        action = (chosen if self.double_dqn else after).get(keys.action)
+        action = action.unsqueeze(-1) if action.ndim < target_value.ndim else action
+        return before.get(keys.action_value), target_value.gather(-1, action)
+
+    @property
+    def _is_of_d3qn(self) -> bool:
+        """Whether action values are those of a ``D3QN``'s head, and nothing else has a say in them."""
+        network, values = self.value_network.module
+        own = network.module if type(network) is TensorDictModule else None
+        return (
+            own is not None
+            and is_plain(own)
+            and not (network._kwargs or own._forward_hooks or own._forward_pre_hooks)
+            and values.action_mask_key is None
+        )
+
+    def _networks_of_weights(self) -> tuple[D3QN, D3QN]:
         """Two networks that hold the loss's online and target weights themselves, not copies.
 
         DQNLoss puts weights into one network before each call, and takes them out after it, which costs as much as a
         convolution. TorchRL drops what is named ``_cache...`` when a loss gets other tensors, such as on a GPU. As
-        there, modules of both train or evaluate as the actor's do.
+        there, both have what the actor's network has beside weights, such as whether it trains or evaluates.
         """
         own = self.value_network.module[0].module
         if "_cache_networks" not in self.__dict__:
@@ -173,7 +195,7 @@ class D3QNLoss(DQNLoss):
         networks = self.__dict__["_cache_networks"]
         for network in networks:
             for ours, theirs in zip(network.modules(), own.modules(), strict=True):
-                ours.training = theirs.training
+                ours.__dict__.update({name: theirs.__dict__[name] for name in theirs.__dict__.keys() - _WEIGHTS})
         return networks
 
     def __getstate__(self) -> dict[str, Any]:
@@ -181,6 +203,10 @@ class D3QNLoss(DQNLoss):
 
     def _autocast(self, device: str) -> contextlib.AbstractContextManager[object]:
         return contextlib.nullcontext() if self.autocast is None else torch.autocast(device, dtype=self.autocast)
+
+
+_WEIGHTS = {"_parameters", "_buffers", "_modules"}
+"""Where modules keep them."""
 
 
 def is_plain(network: nn.Module) -> TypeGuard[D3QN]:

@@ -47,7 +47,8 @@ def make_replay(
 ) -> TensorDictReplayBuffer:
     """TorchRL's replay buffer for ``NavEnv``'s transitions, with shared images.
 
-    ``extend`` takes what one collector yields, batches ``(N, T)`` of N environments and T steps, in order; ``sample``
+    ``extend`` takes what one collector yields, batches ``(N, T)`` of the same N environments and T steps, in order (not
+    those of TorchRL's ``MultiAsyncCollector``, whose workers take turns; ``MultiSyncCollector``'s are); ``sample``
     returns ``batch_size`` transitions with the keys ``depth``, ``heading``, ``action``, ``steps_to_next_obs``,
     ``index`` and ``next``: ``depth``, ``heading``, ``reward``, ``done``, ``terminated``; what ``inputs`` names besides,
     of both states; if prioritised, also ``priority_weight``. The last ``n_step`` steps of each environment wait until
@@ -105,13 +106,28 @@ def make_replay(
     transforms: list[Transform] = [frames]
     if mirror:
         transforms.append(MirroredHalf())
-    return TensorDictReplayBuffer(
+    return _StreamReplay(
         storage=storage,
         sampler=ArrayPrioritizedSampler(capacity) if prioritized else RandomSampler(),
         transform=Compose(*transforms),
         batch_size=batch_size,
         generator=generator,
     )
+
+
+class _StreamReplay(TensorDictReplayBuffer):
+    """For streams of steps, some of which wait in its first transform, ``SharedFrames``."""
+
+    def add(self, data: TensorDictBase) -> int:
+        """Raises ValueError: a step alone has no place in a stream."""
+        raise ValueError(
+            "a replay of streams is fed by batches (N, T): extend(step.unsqueeze(-1)) for one step of N robots"
+        )
+
+    def empty(self, empty_write_count: bool = True) -> None:
+        """Forgets all transitions, and the steps that wait for their n-step return."""
+        super().empty(empty_write_count)
+        self._transform[0].forget()
 
 
 class _ZeroedStorage(LazyTensorStorage):
@@ -275,8 +291,8 @@ class SharedFrames(MultiStepTransform):
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase | None:
         """Records, one-dimensional and oldest first, of the steps whose n-step return is known by now."""
+        self._refuse_misfits(tensordict)
         steps = tensordict.select(*self._keys).to("cpu")
-        self._refuse_misfits(steps)
         steps = steps.reshape(-1, steps.shape[-1])
         depth, next_depth = steps.pop("depth"), steps.pop(("next", "depth"))
         # A copy, as collectors may write their next batch into the same memory; and no lazy stack, of which a part that
@@ -293,15 +309,33 @@ class SharedFrames(MultiStepTransform):
         records = records.select(*self._keys, "steps_to_next_obs").transpose(0, 1).reshape(-1)
         return records[-self._storage.max_size :]
 
+    def forget(self) -> None:
+        """Begins anew: what comes next continues nothing."""
+        self._buffer = self._current = self._running = None
+
     def _refuse_misfits(self, steps: TensorDictBase) -> None:
         """Raises ValueError for what is no batch of streams of transitions with images of the replay's size."""
         if not steps.ndim:
             raise ValueError("a transition alone has no place in a stream; give batches (N, T), or (T,), to extend")
-        depth, wanted = steps["depth"], (NUM_FRAMES, *self._frames.image_shape)
-        if depth.dtype != torch.uint8 or depth.shape[-3:] != wanted:
+        mask = steps.get(("collector", "mask"), None)
+        if mask is not None and not mask.all():
             raise ValueError(
-                f"the replay is for uint8 depth images of shape {wanted} (frames, height, width); got {depth.dtype} of"
-                f" shape {tuple(depth.shape[-3:])}: give make_replay the height and width of the environment's camera"
+                f"of {mask.numel()} steps {mask.numel() - int(mask.sum())} are padding after episodes' ends, no "
+                "transitions: give the collector this replay (replay_buffer=), or have it yield batches (N, T) as they "
+                "come, without trajs_per_batch and split_trajs"
+            )
+        if missing := [key for key in self._keys if key not in steps.keys(include_nested=True)]:
+            raise ValueError(f"transitions need {missing[0]!r}; a collector leaves it out with compact_obs=True")
+        depth, wanted = steps["depth"], (NUM_FRAMES, *self._frames.image_shape)
+        if depth.dtype != torch.uint8:
+            raise ValueError(
+                f"the replay stores depth as the environment gives it, uint8; got {depth.dtype}: divide by 255 in the "
+                "network, in place of a transform"
+            )
+        if depth.shape[-3:] != wanted:
+            raise ValueError(
+                f"the replay is for depth images of shape {wanted} (frames, height, width); got "
+                f"{tuple(depth.shape[-3:])}: give make_replay the height and width of the environment's camera"
             )
         if steps.ndim == 1 and len(steps) > 1:
             _refuse_one_step_of_many(steps)
@@ -327,6 +361,7 @@ class SharedFrames(MultiStepTransform):
             numbers of the images in ``depth`` and ``next_depth``, ``(N, T, 4)`` int32.
         """
         n, t = done.shape
+        is_first = self._current is None
         if self._current is None or self._running is None:
             self._current, self._running = np.zeros((n, history_length(self._interval)), np.int32), np.zeros(n, bool)
         if n != len(self._current):
@@ -334,7 +369,8 @@ class SharedFrames(MultiStepTransform):
                 f"a replay is fed by one collector; it knows {len(self._current)} environments, and now got {n}"
             )
         continues = np.empty((n, t), bool)
-        continues[:, 0] = self._running & _same(depth[:, 0], self._frames[self._seen(self._current)], leading=1)
+        # Images may go on where an episode has ended: a collector has called it truncated, and not begun another.
+        continues[:, 0] = _same(depth[:, 0], self._frames[self._seen(self._current)], leading=1) & (not is_first)
         if self._buffer is not None:
             continues[:, 0] &= _same(heading[:, 0], self._buffer["next", "heading"][:, -1].numpy(), leading=1)
         self._mark_cut(self._running & ~continues[:, 0])

@@ -428,7 +428,7 @@ def test_a_killed_process_of_those_that_make_rooms_is_told(tmp_path):
 
 
 def test_so_little_furniture_that_it_would_be_thinner_than_a_millimetre_is_refused():
-    with pytest.raises(ValueError, match="no clutter with density 0.0001 was found for a room of 2 by 2 m"):
+    with pytest.raises(ValueError, match=r"no clutter with density 0\.0001 was found for a room of 2 by 2 m"):
         generate_world("clutter", (2.0, 2.0), 1e-4, seed=1)
 
 

@@ -9,6 +9,7 @@ import pickle
 import pytest
 import torch
 from tensordict import TensorDict
+from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import nn
 from torchrl.data import Categorical, OneHot
 from torchrl.modules import QValueActor
@@ -315,3 +316,83 @@ def test_modules_train_and_evaluate_as_the_actors_do():
     for mode in (False, True, False, True):
         actor.train(mode)
         torch.testing.assert_close(ours(data.clone())["loss"], theirs(data.clone())["loss"])
+
+
+class Flat(nn.Module):
+    """A network of one's own, with what changes while it learns."""
+
+    def __init__(self, outputs: int = 1) -> None:
+        super().__init__()
+        self.layer, self.drop, self.scale, self.outputs = nn.Linear(WIDTH + 1, 7), nn.Dropout(0.5), 1.0, outputs
+
+    def forward(self, depth: torch.Tensor, heading: torch.Tensor) -> torch.Tensor | tuple[torch.Tensor, ...]:
+        seen = torch.cat([depth[..., -1, 8, :] / 255.0, heading], dim=-1)
+        values = self.scale * self.drop(self.layer(seen))
+        return values if self.outputs == 1 else (values, seen)
+
+
+def masked(network: Flat) -> QValueActor:
+    return QValueActor(network, in_keys=["depth", "heading"], spec=Categorical(7), action_mask_key="action_mask")
+
+
+def by_keyword(network: Flat) -> QValueActor:
+    keys = {"heading": "heading", "depth": "depth"}
+    return QValueActor(TensorDictModule(network, in_keys=keys, out_keys=["action_value"]), spec=Categorical(7))
+
+
+def encoder_and_head(network: Flat) -> QValueActor:
+    encoder = TensorDictModule(
+        lambda depth, heading: torch.cat([depth[..., -1, 8, :] / 255.0, heading], dim=-1),
+        in_keys=["depth", "heading"],
+        out_keys=["seen"],
+    )
+    head = TensorDictModule(network.layer, in_keys=["seen"], out_keys=["action_value"])
+    return QValueActor(TensorDictSequential(encoder, head), spec=Categorical(7))
+
+
+def with_another_output(network: Flat) -> QValueActor:
+    network.outputs = 2
+    module = TensorDictModule(network, in_keys=["depth", "heading"], out_keys=["action_value", "seen"])
+    return QValueActor(module, spec=Categorical(7))
+
+
+@pytest.mark.parametrize("double_dqn", [True, False])
+@pytest.mark.parametrize("make", [masked, by_keyword, encoder_and_head, with_another_output])
+def test_any_actor_learns_as_with_torchrl(make, double_dqn):
+    torch.manual_seed(0)
+    network = Flat()
+    actor, data = make(network), transitions(12)
+    data["action_mask"], data["next", "action_mask"] = torch.rand(2, 12, 7) < 0.5
+    data["action_mask"][:, 0] = data["next", "action_mask"][:, 0] = True
+    data["action"] = torch.zeros(12, dtype=torch.int64)
+    ours = D3QNLoss(actor, gamma=0.9, double_dqn=double_dqn)
+    torchrl = DQNLoss(actor, action_space="categorical", double_dqn=double_dqn, delay_value=True)
+    torchrl.make_value_estimator(ValueEstimators.TD0, gamma=0.9)
+    for loss in (ours, torchrl):
+        SoftUpdate(loss, tau=0.5)
+    for change in ({}, {"scale": 5.0}, {"p": 0.0}):  # in the middle of learning
+        network.scale = change.get("scale", network.scale)
+        network.drop.p = change.get("p", network.drop.p)
+        values = []
+        for loss in (ours, torchrl):
+            torch.manual_seed(1)
+            values.append(loss(data.clone())["loss"])
+        torch.testing.assert_close(*values)
+
+
+def test_a_symmetry_that_is_switched_on_counts_at_once():
+    actor = make_q_actor("I", HEIGHT, WIDTH)
+    ours, data = D3QNLoss(actor), transitions(8)
+    alone = ours(data)["loss"].item()
+    actor.module[0].module.symmetric = True
+    assert ours(data)["loss"].item() == pytest.approx(D3QNLoss(actor)(data)["loss"].item(), rel=1e-5)
+    assert ours(data)["loss"].item() != pytest.approx(alone, rel=1e-3)
+
+
+def test_hooks_of_the_network_are_called():
+    actor = make_q_actor("I", HEIGHT, WIDTH)
+    ours, seen = D3QNLoss(actor), []
+    ours(transitions(8))
+    actor.module[0].module.register_forward_hook(lambda module, inputs, output: seen.append(output.shape))
+    ours(transitions(8))
+    assert seen == [torch.Size([8, 7])] * 3

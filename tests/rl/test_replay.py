@@ -12,9 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 from tensordict import TensorDict, lazy_stack
+from torchrl.collectors import Collector
 from torchrl.envs.transforms import MultiStepTransform
 
 from navsim.robot import MIRRORED_ACTIONS
+from rl.env import NavEnv
 from rl.replay import FrameStore, make_replay
 
 HEIGHT, WIDTH = 3, 2
@@ -498,12 +500,67 @@ def test_what_does_not_fit_the_replay_is_told():
     batch = Environments(2).rollout(3)
     other = make_replay(100, height=HEIGHT + 1, width=WIDTH, batch_size=8)
     with pytest.raises(
-        ValueError, match=r"uint8 depth images of shape \(4, 4, 2\).* of shape \(4, 3, 2\): give make_rep"
+        ValueError, match=r"depth images of shape \(4, 4, 2\).* got \(4, 3, 2\): give make_replay the height"
     ):
         other.extend(batch)
     replay = make_replay(100, height=HEIGHT, width=WIDTH, batch_size=8)
-    with pytest.raises(ValueError, match=r"got torch.float32"):
+    with pytest.raises(ValueError, match=r"uint8; got torch.float32: divide by 255 in the network"):
         replay.extend(batch.clone().set("depth", batch["depth"].float()))
+    with pytest.raises(ValueError, match=r"transitions need \('next', 'depth'\); a collector leaves it out"):
+        replay.extend(batch.exclude(("next", "depth")))
     with pytest.raises(ValueError, match="a transition alone has no place in a stream"):
-        replay.add(batch[0, 0])
+        replay.extend(batch[0, 0])
+    with pytest.raises(ValueError, match=r"fed by batches \(N, T\): extend\(step.unsqueeze\(-1\)\)"):
+        replay.add(batch[:, 0])
     assert len(replay) == 0
+
+
+def test_padding_is_refused_and_whole_trajectories_are_taken_by_the_collector():
+    batch = Environments(2).rollout(6)
+    batch["collector", "mask"] = torch.ones(2, 6, dtype=torch.bool)
+    replay = make_replay(100, height=HEIGHT, width=WIDTH, batch_size=4)
+    replay.extend(batch)
+    batch["collector", "mask"][0, 4:] = False  # as trajs_per_batch and split_trajs fill episodes up
+    with pytest.raises(ValueError, match=r"of 12 steps 2 are padding after episodes' ends, .* \(replay_buffer=\)"):
+        replay.extend(batch)
+    assert len(replay) == 10
+    replay = make_replay(500, batch_size=4)
+    filling = Collector(
+        NavEnv("complex_train", 3, seed=0),
+        None,
+        frames_per_batch=60,
+        total_frames=360,
+        trajs_per_batch=3,
+        replay_buffer=replay,
+    )
+    for _ in filling:
+        pass
+    assert len(replay) > 0
+    assert replay[:]["depth"].flatten(1).any(dim=1).all()
+
+
+def test_an_emptied_replay_has_nothing_of_before():
+    replay = make_replay(100, height=HEIGHT, width=WIDTH, batch_size=8, n_step=3, prioritized=True)
+    replay.extend(Environments(2).rollout(12))
+    replay.empty()
+    batch = Environments(3).rollout(10)  # of another number, too
+    replay.extend(batch)
+    fresh = make_replay(100, height=HEIGHT, width=WIDTH, batch_size=8, n_step=3)
+    fresh.extend(batch)
+    for key in ("depth", "action", ("next", "reward"), ("next", "depth")):
+        torch.testing.assert_close(replay[:][key], fresh[:][key])
+
+
+@pytest.mark.parametrize("frame_interval", [1, 3])
+def test_images_go_on_where_a_collector_calls_its_last_step_truncated(frame_interval):
+    env = NavEnv("complex_train", 3, seed=0, frame_interval=frame_interval)
+    replay = make_replay(1000, batch_size=4, n_step=2, frame_interval=frame_interval)
+    collected = []
+    for batch in Collector(env, None, frames_per_batch=30, total_frames=90, set_truncated=True):
+        collected.append(batch.clone())
+        replay.extend(batch)
+    steps = torch.cat([batch["depth"] for batch in collected], dim=1)
+    known = steps[:, :-2].flatten(0, 1)  # the last two wait for their return
+    assert len(replay) == len(known)
+    assert {bytes(stack.numpy()) for stack in known} == {bytes(stack.numpy()) for stack in replay[:]["depth"]}
+    assert replay[:]["steps_to_next_obs"].max() == 2
