@@ -48,12 +48,13 @@ class _Driver(TensorDictModuleBase):
     out_keys = ("action",)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes ``action`` ``(N,)`` int64."""
-        headings = tensordict["heading"].reshape(-1).cpu().numpy().astype(np.float64)
-        commands = _exact(tensordict["command"].reshape(-1, 2).cpu().numpy())
-        speed_actions, turn_actions = self._wanted(tensordict, headings, commands)
-        _write(tensordict, "action", _one_of(commands, speed_actions, turn_actions))
-        return tensordict
+        """Writes ``action`` ``(...)`` int64."""
+        flat = tensordict.select(*self.in_keys, "direction", "is_init", strict=False).reshape(-1)
+        headings = flat["heading"].squeeze(-1).cpu().numpy().astype(np.float64)
+        commands = _exact(flat["command"].cpu().numpy())
+        speed_actions, turn_actions = self._wanted(flat, headings, commands)
+        _write(flat, "action", _one_of(commands, speed_actions, turn_actions))
+        return tensordict.update(flat.select("action", "direction", strict=False).reshape(tensordict.batch_size))
 
     def _wanted(
         self, tensordict: TensorDictBase, headings: np.ndarray, commands: np.ndarray

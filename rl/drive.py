@@ -12,6 +12,7 @@ from rich.console import Console
 from tensordict import TensorDictBase
 
 from navsim.animation import animate_episode, check_animation
+from navsim.robot import NUM_ACTIONS
 from navsim.sensor import SensorModel
 from navsim.world import Goal, Start
 from navsim.worldsource import world_from
@@ -133,10 +134,13 @@ class _Watched(torch.nn.Module):
 
     def forward(self, state: TensorDictBase) -> TensorDictBase:
         """What the policy does."""
-        state = self._policy(state)
+        answer = self._policy(state)
+        if answer is not None and answer is not state:
+            state.update(answer)
         self._images.append(state["depth"][0, -1].clone())
-        if "action_value" in state:
-            self._values.append(state["action_value"][0].clone())
+        values = state.get("action_value", None)
+        if values is not None and values.shape[1:] == (NUM_ACTIONS,):  # else they are another kind's, such as logits
+            self._values.append(values[0].clone())
         if "surroundings" in self.in_keys:
             self._surroundings.append(state["surroundings"][0].clone())
         return state

@@ -254,9 +254,22 @@ class NavEnv(EnvBase):
 
     def load_state_dict(self, state_dict: dict, *args, **kwargs) -> None:
         """Goes on exactly where ``state_dict`` was taken; of an empty one, which TorchRL's ``Collector`` keeps of an
-        environment like this, nothing is changed."""
+        environment like this, nothing is changed.
+
+        Raises:
+            ValueError: for a state of an environment with other settings; then nothing is changed.
+        """
         if not state_dict:
             return
+        own, given = tuple(self._history.shape), tuple(state_dict["frames"].shape)
+        if own != given:
+            raise ValueError(
+                f"the state's images are of shape {given} (robots, images, height, width), and this environment's of "
+                f"{own}: create it with the same num_envs, camera and frame_interval"
+            )
+        if (self.surroundings is not None) != ("surroundings" in state_dict):
+            kept = "no" if self.surroundings is not None else "a"
+            raise ValueError(f"the state holds {kept} memory of the surroundings: create it with the same surroundings")
         self.simulator.load_state_dict(tree_map(_as_array, state_dict["simulator"]))
         self._history = state_dict["frames"].clone()
         if self.surroundings is not None:

@@ -554,8 +554,7 @@ def _drive_paths(
         state["plan"] = _padded(plans, simulator.task.max_steps)
         episodes = _drive(_follow_plan, simulator, memory, state, driven, lambda ended: None)
     else:
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
+        with _seeded(_device_of(policy), seed):
             episodes = _drive(policy, simulator, memory, state, driven, advance)
     return [
         PathResult(
@@ -695,10 +694,11 @@ def _drive(
     device = _device_of(policy)
     with torch.no_grad(), greedily, _evaluation_mode(policy), _one_thread():
         while len(running):
-            if device.type == "cpu":
-                state = policy(state)
-            else:
-                state.update(policy(state.exclude(_HISTORY).to(device)).to("cpu"))
+            given = state if device.type == "cpu" else state.exclude(_HISTORY).to(device)
+            answer = policy(given)
+            answer = given if answer is None else answer
+            if answer is not state:
+                state.update(answer.to("cpu"))
             actions = state["action"].reshape(-1).cpu().numpy()
             moved = simulator.step(actions)
             ended = moved.terminated | moved.truncated
@@ -784,6 +784,17 @@ def _one_thread() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(threads)
+
+
+@contextmanager
+def _seeded(device: torch.device, seed: int) -> Iterator[None]:
+    """Seeds torch's generators of the CPU and of a policy's device for a while; no other device's is touched."""
+    with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
+        torch.default_generator.manual_seed(seed)
+        if device.type == "cuda":
+            with torch.cuda.device(device):
+                torch.cuda.manual_seed(seed)
+        yield
 
 
 def _device_of(policy: object) -> torch.device:

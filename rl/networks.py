@@ -352,8 +352,9 @@ class D3QN(nn.Module):
     def _maps(self, response: Tensor, scalars: Tensor) -> Tensor:
         """What conv1 gives, ``(B, H', W', 32)``, of its ``response`` to the images without bias."""
         batch, dtype = len(scalars), response.dtype
-        maps = torch.addmm(response.reshape(batch, -1), self._shares(scalars).to(dtype), self._offsets().to(dtype))
-        return F.relu_(maps).view(batch, *self.conv1.output_size, -1)
+        offsets = self._offsets().to(dtype)
+        maps = torch.addmm(response.reshape(batch, offsets.shape[1]), self._shares(scalars).to(dtype), offsets)
+        return F.relu_(maps).view(batch, *self.conv1.output_size, _CONVOLUTIONS[0].channels)
 
     def _offsets(self) -> Tensor:
         """What conv1's response lacks, ``(n, H'·W'·32)``, to be added in these ``_shares``: its bias, less what centred
@@ -407,7 +408,7 @@ def _coverage(convolution: _Convolution, height: int, width: int) -> Tensor:
     for size, kernel in zip((height, width), convolution.kernel, strict=True):
         first = torch.arange(math.ceil(size / convolution.stride)) * convolution.stride
         place = first.unsqueeze(1) - same_padding(size, kernel, convolution.stride)[0] + torch.arange(kernel)
-        axes.append(((place >= 0) & (place < size)).float())
+        axes.append(((place >= 0) & (place < size)).to(torch.get_default_dtype()))
     return torch.kron(*axes)
 
 

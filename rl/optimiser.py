@@ -65,11 +65,17 @@ class SoftUpdateAtOnce(SoftUpdate):
 
     def init_(self) -> None:
         super().init_()
-        self._pairs = [
-            [values.data for values in weights.values(include_nested=True, leaves_only=True)]
-            for weights in (self._targets, self._sources)
-        ]
+        self._pairs = self._targets_and_sources()
 
     def step(self) -> None:
         """Moves each target a share ``1 - eps`` of the way to its source."""
+        first = next(iter(self._targets.values(include_nested=True, leaves_only=True)))
+        if first.data_ptr() != self._pairs[0][0].data_ptr():  # the loss has got other tensors, as on another device
+            self._pairs = self._targets_and_sources()
         get_ema_multi_avg_fn(self.eps)(*self._pairs, None)
+
+    def _targets_and_sources(self) -> list[list[Tensor]]:
+        return [
+            [values.data for values in weights.values(include_nested=True, leaves_only=True)]
+            for weights in (self._targets, self._sources)
+        ]

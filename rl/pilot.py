@@ -59,6 +59,7 @@ class Pilot:
         self._command = np.array([INITIAL_COMMAND])
         self._images: torch.Tensor | None = None
         self._memory = Surroundings(1, self.camera, lossy=self._config.sensor.loses_returns)
+        self._origin: np.ndarray | None = None
 
     def command(
         self, depth: ArrayLike, pose: ArrayLike, goal: ArrayLike, image_pose: ArrayLike | None = None
@@ -81,6 +82,10 @@ class Pilot:
         image = self._counts(np.asarray(depth))
         here, there = _numbers("pose", pose, 3), _numbers("goal", goal, 2)
         taken = here if image_pose is None else _numbers("image_pose", image_pose, 3)
+        if self._origin is None:
+            self._origin = here * [1.0, 1.0, 0.0]
+        # What is remembered is in single precision, too little for the millions of metres of a map's frame.
+        here, taken, there = here - self._origin, taken - self._origin, there - self._origin[:, :2]
         if self._images is None:
             self._images = torch.from_numpy(image).repeat(1, history_length(self._config.frame_interval), 1, 1)
             self._memory.begin(image[None], taken)
@@ -106,7 +111,7 @@ class Pilot:
         if depth.shape != wanted:
             raise ValueError(f"the policy is for depth images of shape {wanted}; got {depth.shape}: resize them")
         if depth.dtype == np.uint8:
-            return depth
+            return depth.copy()  # torch takes neither a flipped nor a read-only one
         if not np.issubdtype(depth.dtype, np.floating):
             raise ValueError(
                 f"a depth image is in metres, or uint8 counts; got {depth.dtype}: divide millimetres by 1000"

@@ -184,3 +184,20 @@ def test_the_oracle_reaches_goals_behind_obstacles():
     evaluation = evaluate(make_baseline("oracle"), BLOCKED, num_paths=2, task=Task(max_steps=200))
     assert [path.outcome for path in evaluation.paths] == ["success"] * 2
     assert evaluation.spl > 0.8
+
+
+@pytest.mark.parametrize("name", ["random", "straight", "reactive"])
+@pytest.mark.parametrize("shape", [(), (4,), (2, 2)])
+def test_states_may_have_any_number_of_batch_dimensions(name, shape):
+    env = NavEnv("complex_train", 4, seed=0)
+    state = env.rollout(3, break_when_any_done=False)[:, -1]["next"].select("depth", "heading", "command")
+    torch.manual_seed(0)
+    expected = make_baseline(name)(state.clone())["action"][: 1 if not shape else 4]
+    torch.manual_seed(0)
+    given = state[0].clone() if not shape else state.clone().reshape(shape)
+    policy = make_baseline(name)
+    answer = policy(given)
+    assert answer["action"].shape == torch.Size(shape)
+    if name != "random":
+        assert answer["action"].flatten().tolist() == expected.tolist()
+        policy(answer)  # with what it wrote, as in a next step

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from small_runs import HALL
+from tensordict.nn import TensorDictModule
 
 import rl.drive
 from navsim.camera import DepthCamera
@@ -185,3 +186,24 @@ def test_a_mistake_is_told_in_a_sentence(tmp_path, monkeypatch, capsys, argument
     assert main(["drive", *arguments]) == 2
     assert message in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_action_values_of_another_shape_are_not_shown(filmed, tmp_path):
+    def policy(state):
+        state["action_value"] = torch.rand(*state.batch_size, 11, 7)  # as TorchRL's DistributionalQValueActor writes
+        return state.set("action", torch.zeros(state.batch_size, dtype=torch.int64))
+
+    drive(policy, "simple_eval", tmp_path / "a.mp4")
+    assert "q_values" not in filmed
+    assert "images" in filmed
+
+
+def test_a_policy_that_returns_only_its_action_is_filmed(filmed, tmp_path):
+    module = TensorDictModule(
+        lambda heading: torch.zeros(heading.shape[:-1], dtype=torch.int64),
+        in_keys=["heading"],
+        out_keys=["action"],
+        inplace="empty",
+    )
+    result = drive(module, "simple_eval", tmp_path / "a.mp4")
+    assert filmed["images"].shape == (result.steps, 64, 80)

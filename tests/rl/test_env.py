@@ -298,3 +298,23 @@ def test_whoever_writes_into_an_observation_changes_nothing_that_is_seen_later()
         other["depth"].zero_()
         state, other = (act(env, one, [1, 1])["next"] for env, one in ((untouched, state), (scribbled, other)))
         assert torch.equal(state["depth"], other["depth"])
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"frame_interval": 3}, r"images are of shape \(2, 10, 12, 20\).* this environment's of \(2, 4, 12, 20\)"),
+        ({"surroundings": True}, "the state holds a memory of the surroundings"),
+    ],
+)
+def test_a_state_of_an_environment_with_other_settings_changes_nothing(settings, told):
+    other = NavEnv("complex_train", 2, camera=CAMERA, seed=0, **settings)
+    env = NavEnv("complex_train", 2, camera=CAMERA, seed=1)
+    for one in (env, other):
+        one.rollout(3, break_when_any_done=False)
+    before = env.state_dict()
+    with pytest.raises(ValueError, match=told):
+        env.load_state_dict(other.state_dict())
+    after = env.state_dict()
+    assert torch.equal(before["frames"], after["frames"])
+    assert torch.equal(before["simulator"]["physics"]["poses"], after["simulator"]["physics"]["poses"])

@@ -24,6 +24,7 @@ from navsim.simulator import Simulator
 from navsim.task import Path, Task
 from navsim.world import World
 from navsim.worldfile import load_world
+from rl.baselines import make_baseline
 from rl.config import TrainConfig
 from rl.evaluation import Evaluation, PathResult, comparison_table, evaluate, wilson_interval
 from rl.learner import make_actor
@@ -569,3 +570,28 @@ def test_progress_is_shown_on_a_console():
     drive(ahead, console=screen)
     assert "evaluating in room" in screen.file.getvalue()
     assert "6/6" in screen.file.getvalue()
+
+
+def test_policies_may_return_their_action_alone_or_nothing():
+    straight = make_baseline("straight")
+
+    def alone(state):
+        return TensorDict({"action": straight(state.clone())["action"]}, state.batch_size)
+
+    def nothing(state):
+        state["action"] = straight(state.clone())["action"]
+
+    expected = evaluate(straight, "simple_eval", num_paths=4).paths
+    for policy in (alone, nothing):
+        for path, other in zip(evaluate(policy, "simple_eval", num_paths=4).paths, expected, strict=True):
+            np.testing.assert_array_equal(path.trajectory, other.trajectory)
+
+
+def test_generators_of_devices_that_a_policy_is_not_on_are_left_alone(monkeypatch):
+    seeded = []
+    monkeypatch.setattr(torch.cuda, "manual_seed_all", seeded.append)
+    before = torch.get_rng_state()
+    first, again = (evaluate(make_baseline("random"), "simple_eval", num_paths=2, seed=3) for _ in range(2))
+    assert [path.actions.tolist() for path in first.paths] == [path.actions.tolist() for path in again.paths]
+    assert torch.equal(torch.get_rng_state(), before)
+    assert not seeded

@@ -9,11 +9,13 @@ from dataclasses import replace
 import pytest
 import torch
 from tensordict import TensorDict
+from torchrl.objectives import SoftUpdate
 
 from navsim.camera import DepthCamera
 from rl.config import PRESETS
 from rl.learner import Learner, make_actor
-from rl.networks import symmetric_policy
+from rl.loss import D3QNLoss
+from rl.networks import make_q_actor, symmetric_policy
 from rl.optimiser import SoftUpdateAtOnce
 
 CONFIG = replace(
@@ -190,3 +192,19 @@ def test_a_learner_on_a_gpu_learns_what_one_on_the_cpu_does():
     gpu.hand_over()
     for name, weight in cpu.actor.state_dict().items():
         torch.testing.assert_close(gpu.actor.state_dict()[name], weight, rtol=1e-2, atol=1e-3)
+
+
+def test_a_soft_update_follows_a_loss_to_other_tensors():
+    actor = make_q_actor("I", 12, 20)
+    targets = []
+    for update_class in (SoftUpdateAtOnce, SoftUpdate):
+        loss = D3QNLoss(deepcopy(actor))
+        update = update_class(loss, tau=0.5)
+        loss.double()
+        for parameter in loss.value_network_params.values(True, True):
+            parameter.data.add_(1.0)
+        update.step()
+        targets.append(loss.target_value_network_params.data.flatten_keys("."))
+    for name, value in targets[1].items():
+        torch.testing.assert_close(targets[0][name], value)
+    assert targets[0]["module.0.module.value.bias"].item() == 0.5

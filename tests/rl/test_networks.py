@@ -327,3 +327,19 @@ def test_settings_that_cannot_be_used_are_refused():
     depth, heading = observations(2, height=80, width=64)
     with pytest.raises(ValueError, match=r"\(4, 64, 80\).*\(4, 80, 64\)"):
         network(depth, heading)
+
+
+@pytest.mark.parametrize("model", ["I", "S"])
+def test_a_batch_may_be_empty(model):
+    network = D3QN(model, 12, 20)
+    assert network(torch.zeros(0, 4, 12, 20, dtype=torch.uint8), torch.zeros(0, 1)).shape == (0, 7)
+    assert network(torch.zeros(3, 0, 4, 12, 20, dtype=torch.uint8), torch.zeros(3, 0, 1)).shape == (3, 0, 7)
+
+
+def test_networks_are_made_in_the_default_format():
+    torch.set_default_dtype(torch.float64)
+    try:
+        network = D3QN("I", 12, 20)
+        assert network(torch.zeros(2, 4, 12, 20, dtype=torch.uint8), torch.zeros(2, 1)).dtype == torch.float64
+    finally:
+        torch.set_default_dtype(torch.float32)

@@ -100,3 +100,25 @@ def test_what_cannot_be_used_is_told():
             pilot.command(*arguments)
     with pytest.raises(ValueError, match="a Pilot needs a policy that knows how it was trained"):
         Pilot(rl.make_q_actor("I"))
+
+
+def test_what_it_remembers_does_not_depend_on_where_the_frame_begins():
+    policy, seen = rl.load_policy("pretrained:I"), []
+    policy.register_forward_pre_hook(lambda module, arguments: seen.append(arguments[0]["surroundings"].clone()))
+    for origin in (np.zeros(3), np.array([5e5, 4.5e6, 0.0])):  # as in a map's frame (UTM)
+        pilot = Pilot(policy)
+        for step in range(6):
+            pose, goal = np.array([0.08 * step, 0.0, 0.0]), np.array([3.0, 0.0])
+            pilot.command(np.full((64, 80), 1.5), pose + origin, goal + origin[:2])
+    np.testing.assert_allclose(torch.cat(seen[:6]), torch.cat(seen[6:]), atol=1e-5)
+    assert torch.cat(seen).min() < 1.3
+
+
+def test_images_may_be_flipped_and_read_only():
+    counts = np.random.default_rng(0).integers(0, 256, (64, 80), np.uint8)
+    counts.flags.writeable = False
+    commands = []
+    for image in (counts[::-1, ::-1], counts[::-1, ::-1].copy()):
+        pilot = Pilot(rl.load_policy("pretrained:I"))
+        commands.append(pilot.command(image, (0, 0, 0), (3, 0)))
+    assert commands[0] == commands[1]
