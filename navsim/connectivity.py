@@ -16,6 +16,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from navsim.footprints import Footprints, overlapping_boxes
+from navsim.view import expand
 
 TOLERANCE = 1e-9
 """Metres: a gap that is this much too narrow is wide enough."""
@@ -78,7 +79,7 @@ class _Columns:
         self._width = max(width, span / self._MOST, 1e-9)
         first = self._column_of(low)
         span_of = self._column_of(high) - first + 1
-        owner, inside = _expanded(span_of)
+        owner, inside = expand(span_of)
         column = first[owner] + inside
         self._links = owner[np.argsort(column, kind="stable")]
         count = np.bincount(column, minlength=self._column_of(np.array([self._origin + span]))[0] + 1)
@@ -97,7 +98,7 @@ class _Columns:
         while done < len(inside):
             before = int(total[done - 1]) if done else 0
             upto = max(done + 1, int(np.searchsorted(total, before + CROSSINGS_A_CHUNK, side="right")))
-            owner, step = _expanded(count[done:upto])
+            owner, step = expand(count[done:upto])
             owner += done
             index, link = inside[owner], self._links[begin[owner] + step]
             within = np.flatnonzero((self._low[link] <= x[index]) & (x[index] < self._high[link]))
@@ -222,9 +223,3 @@ def _is_crossed(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
         (ax, ay), (bx, by) = corners[straddling, c].T, corners[straddling, c + 1].T
         odd[straddling] ^= ay + (x[straddling] - ax) / (bx - ax) * (by - ay) > y[straddling]
     return odd
-
-
-def _expanded(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """For counts (2, 0, 3): owners (0, 0, 2, 2, 2) and positions within them (0, 1, 0, 1, 2)."""
-    owner = np.repeat(np.arange(len(counts)), counts)
-    return owner, np.arange(len(owner)) - (np.cumsum(counts) - counts)[owner]

@@ -19,6 +19,7 @@ import numpy as np
 
 from navsim.footprints import Footprints
 from navsim.prism import Prism
+from navsim.view import expand
 
 if TYPE_CHECKING:
     from navsim.world import Obstacle, Pushable, World
@@ -352,6 +353,5 @@ def outlines(world: World, poses: np.ndarray) -> list[list[tuple[np.ndarray, flo
 
 def expanded(first: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """For ranges that begin at ``first`` (5, 9) and are ``count`` (2, 1) long: owners (0, 0, 1), members (5, 6, 9)."""
-    owner = np.repeat(np.arange(len(count)), count)
-    begin = np.cumsum(count) - count
-    return owner, np.arange(len(owner)) + (first - begin)[owner]
+    owner, place = expand(count)
+    return owner, first[owner] + place
