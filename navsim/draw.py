@@ -40,6 +40,7 @@ from matplotlib.patches import Polygon as PolygonPatch
 from navsim.camera import DepthCamera
 from navsim.dynamics import dynamic_obstacles, placed
 from navsim.files import atomic_write
+from navsim.lettering import lettering
 from navsim.polygon import signed_area
 from navsim.robot import TURTLEBOT2, Robot
 from navsim.scan import metres
@@ -204,6 +205,12 @@ _ASIDE = tuple(_NAME_SIZE * np.array([(x, y) for y in (0, 1.3, -1.3, 2.6, -2.6) 
 """Where a name may go instead of on the middle of its obstacle, points, in the order in which they are tried."""
 
 
+def draw_title(axes: Axes, name: str, **settings: Any) -> None:
+    """Write a name from a file over a plot, in whatever letters it is; ``settings`` are those of ``Axes.set_title``."""
+    text, families = lettering(name)
+    axes.set_title(text, fontfamily=families, parse_math=False, **settings)
+
+
 def _draw_names(axes: Axes, world: World) -> None:
     """Writes obstacles' names on them, or beside them where another name is in the way: the ``MOST_NAMES`` largest."""
     room = axes.get_window_extent()
@@ -216,12 +223,14 @@ def _draw_names(axes: Axes, world: World) -> None:
         boxes = [((*(place - half), *(place + half)), aside) for place, aside in places]
         box, aside = min(boxes, key=lambda box: _overlap(box[0], taken))
         taken.append(box)
+        name, families = lettering(obstacle.name)
         text = axes.annotate(
-            obstacle.name,
+            name,
             (float(middle[0]), float(middle[1])),
             xytext=aside,
             textcoords="offset points",
             fontsize=_NAME_SIZE,
+            fontfamily=families,
             ha="center",
             va="center",
             color=INK,

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from navsim.draw import draw_world, new_figure, save_figure
+from navsim.draw import draw_title, draw_world, new_figure, save_figure
 from navsim.world import World
 
 MOST_WORLDS = 24
@@ -41,5 +41,5 @@ def save_overview(
         axes = figure.add_subplot(rows, columns, number + 1)
         draw_world(axes, world, colour_bar=False, legend=False)
         axes.set_axis_off()
-        axes.set_title(caption, fontsize=9, parse_math=False)
+        draw_title(axes, caption, fontsize=9)
     return save_figure(figure, path)

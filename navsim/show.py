@@ -22,6 +22,7 @@ from navsim.draw import (
     ROBOT,
     VIEW,
     draw_depth,
+    draw_title,
     draw_world,
     figure_png,
     new_figure,
@@ -89,7 +90,7 @@ def plan_png(world: World) -> bytes:
     figure.set_layout_engine("none")
     axes = figure.add_axes((0.6 / size[0], 0.45 / size[1], scale * width / size[0], scale * height / size[1]))
     draw_world(axes, world, colour_bar=False, legend=False)
-    axes.set_title(world.name, fontsize=10, color=INK, parse_math=False)
+    draw_title(axes, world.name, fontsize=10, color=INK)
     return figure_png(figure)
 
 
@@ -119,7 +120,7 @@ def _plan_view(world: World, names: bool, pose: tuple[float, float, float] | Non
             Patch(fc=VIEW, alpha=0.35, label="floor in its view"),
         ]
     _add_to_legend(axes, handles)
-    axes.set_title(world.name, fontsize=13, color=INK, pad=10, parse_math=False)
+    draw_title(axes, world.name, fontsize=13, color=INK, pad=10)
     return figure
 
 
