@@ -164,6 +164,8 @@ class CategoricalD3QNLoss(D3QNLoss):
         network = q_actor.module[0].module
         if not isinstance(network, CategoricalD3QN):
             raise ValueError(f"CategoricalD3QNLoss needs a CategoricalD3QN in its actor; got {type(network).__name__}")
+        if q_actor.module[1].action_mask_key is not None:
+            raise ValueError("CategoricalD3QNLoss knows no action masks; give the actor none, or use D3QNLoss")
         if not is_plain(network):
             kind = "is symmetric" if network.symmetric else f"({type(network).__name__}) makes them in another way"
             raise ValueError(

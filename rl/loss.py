@@ -182,20 +182,24 @@ class D3QNLoss(DQNLoss):
 
         DQNLoss puts weights into one network before each call, and takes them out after it, which costs as much as a
         convolution. TorchRL drops what is named ``_cache...`` when a loss gets other tensors, such as on a GPU. As
-        there, both have what the actor's network has beside weights, such as whether it trains or evaluates.
+        there, both have the settings of the actor's network, and train or evaluate as each of its modules does.
         """
         own = self.value_network.module[0].module
         if "_cache_networks" not in self.__dict__:
-            networks = []
+            networks, twins = [], []
             for weights in (self.value_network_params, self.target_value_network_params):
                 network = copy.deepcopy(own)
                 weights["module", "0", "module"].to_module(network)
                 networks.append(network)
-            self.__dict__["_cache_networks"] = tuple(networks)
-        networks = self.__dict__["_cache_networks"]
+                pairs = zip(network.modules(), own.modules(), strict=True)
+                twins += [(ours.__dict__, theirs.__dict__) for ours, theirs in pairs]
+            self.__dict__["_cache_networks"] = (tuple(networks), twins)
+        networks, twins = self.__dict__["_cache_networks"]
+        for ours, theirs in twins:
+            ours["training"] = theirs["training"]
+        settings = {name: value for name, value in own.__dict__.items() if name not in _WEIGHTS}
         for network in networks:
-            for ours, theirs in zip(network.modules(), own.modules(), strict=True):
-                ours.__dict__.update({name: theirs.__dict__[name] for name in theirs.__dict__.keys() - _WEIGHTS})
+            network.__dict__.update(settings)
         return networks
 
     def __getstate__(self) -> dict[str, Any]:

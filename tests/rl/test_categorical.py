@@ -196,3 +196,11 @@ def test_a_network_whose_values_are_not_the_means_is_refused():
     network = Bolder("I", HEIGHT, WIDTH)
     with pytest.raises(ValueError, match=r"\(Bolder\) makes them in another way"):
         CategoricalD3QNLoss(QValueActor(network, in_keys=["depth", "heading"], spec=Categorical(7)))
+    masked = QValueActor(
+        CategoricalD3QN("I", HEIGHT, WIDTH),
+        in_keys=["depth", "heading"],
+        spec=Categorical(7),
+        action_mask_key="action_mask",
+    )
+    with pytest.raises(ValueError, match="knows no action masks"):
+        CategoricalD3QNLoss(masked)
