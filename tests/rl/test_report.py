@@ -72,6 +72,17 @@ def run(tmp_path_factory):
     return run
 
 
+@pytest.fixture
+def no_film(monkeypatch):
+    """Drawing films takes long; one is made for ``page``."""
+
+    def film(path, *_, **__):
+        path.write_bytes(b"a film")
+        return path
+
+    monkeypatch.setattr("rl.report.animate_episode", film)
+
+
 class Page(HTMLParser):
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -151,6 +162,7 @@ def test_names_from_files_are_text_and_not_markup(page, run):
     assert "hall &lt;1&gt;" in (run.directory / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.usefixtures("no_film")
 def test_of_several_rooms_all_are_counted_and_the_first_is_drawn(run, tmp_path):
     source = "generate:blocks,size=4,density=0.06,count=2"
     several = Run.create(TrainConfig(out=tmp_path / "several", eval_world=source, world=(source,)))
@@ -169,6 +181,7 @@ def test_a_run_that_was_not_finished_says_so(run, tmp_path):
         write_report(unfinished)
 
 
+@pytest.mark.usefixtures("no_film")
 def test_what_chose_the_weights_is_told_beside_the_last_ones(run, tmp_path):
     copied = Run(shutil.copytree(run.directory, tmp_path / "chosen"))
     evaluate(make_baseline("straight"), WORLD, name="D3QN-I last").save(
@@ -182,6 +195,7 @@ def test_what_chose_the_weights_is_told_beside_the_last_ones(run, tmp_path):
     assert f"D3QN-I has the weights of the best of {count} evaluations, which drove the same paths; nothing" in text
 
 
+@pytest.mark.usefixtures("no_film")
 @pytest.mark.parametrize(
     ("settings", "told"),
     [
@@ -198,6 +212,7 @@ def test_captions_tell_of_stricter_rules_and_of_images_that_the_robot_did_not_se
     assert {words: text.count(words) for words in told} == told
 
 
+@pytest.mark.usefixtures("no_film")
 def test_a_room_that_was_trained_in_is_known_by_the_runs_copy_of_it(run, tmp_path):
     source = tmp_path / "hall.yaml"
     save_world(WORLD, source)
@@ -208,6 +223,7 @@ def test_a_room_that_was_trained_in_is_known_by_the_runs_copy_of_it(run, tmp_pat
     assert "never seen" not in write_report(other).read_text(encoding="utf-8")
 
 
+@pytest.mark.usefixtures("no_film")
 def test_a_run_without_versions_says_so(run, tmp_path):
 
     copy = tmp_path / "copy"
@@ -260,6 +276,7 @@ def test_training_curves_have_a_line_for_training_and_points_for_evaluations(run
     np.testing.assert_allclose(loss.lines[0].get_ydata(), [0.1 / 4000, 0.1 / 8000, 0.1 / 12000], rtol=1e-5)
 
 
+@pytest.mark.usefixtures("no_film")
 def test_evaluations_that_somebody_else_has_put_there_are_not_in_the_report(run, tmp_path):
     other = shutil.copytree(run.directory, tmp_path / "other")
     strange = evaluate(make_baseline("straight"), "simple_eval", name="A stranger", num_paths=1)
