@@ -144,7 +144,7 @@ def test_clearance_of_nothing():
 # Shortest paths
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", [*range(5), *(pytest.param(seed, marks=pytest.mark.slow) for seed in (5, 6))])
 def test_shortest_paths_are_those_of_a_visibility_graph(seed):
     world = random_world(seed, 4 + seed % 8)
     places = free_points(world, 6, seed)
