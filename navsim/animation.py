@@ -43,6 +43,7 @@ _SIZE, _DPI = (9.6, 5.2), 100  # inches and dots an inch: 960 x 520 pixels, both
 _OTHER_BARS = "#b9c0c8"
 _REMEMBERED = "#c05621"
 _MOST_GIF_FRAMES = 50.0  # a second
+_SPEEDS = (0.01, 100.0)  # a GIF shows no picture for longer than 11 minutes, and nobody sees more in a second
 _HOLD = 1.0  # seconds that the last frame stays
 
 
@@ -98,13 +99,13 @@ def animate_episode(
         q_values: ``(K - 1, 7)``, what the network expects of each action at each pose but the last, drawn as bars.
         remembered: ``(K - 1, S)``, metres from the robot's centre to what it remembers in each of S equal directions,
             the first of which begins behind it, counterclockwise; drawn as arcs where it is finite.
-        speed: how many times faster than real time it plays.
+        speed: how many times faster than real time it plays, 0.01 to 100.
 
     Returns:
         The path.
 
     Raises:
-        ValueError: for a suffix that is neither of the two, a speed that is not positive, or poses, images, Q-values or
+        ValueError: for a suffix that is neither of the two, a speed out of range, or poses, images, Q-values or
             what is remembered of another shape, or of another number of times.
     """
     path = Path(path)
@@ -163,8 +164,8 @@ def check_animation(path: Path, speed: float) -> None:
     """Raises ValueError for a file name or a speed that :func:`animate_episode` has no use for."""
     if path.suffix.lower() not in ANIMATION_SUFFIXES:
         raise ValueError(f"{path}: animations are written as {' or '.join(ANIMATION_SUFFIXES)}")
-    if not (math.isfinite(speed) and speed > 0.0):
-        raise ValueError(f"speed must be positive; got {speed:g}")
+    if not _SPEEDS[0] <= speed <= _SPEEDS[1]:
+        raise ValueError(f"speed must lie between {_SPEEDS[0]:g} and {_SPEEDS[1]:g}; got {speed:g}")
 
 
 def _frames(episode: _Episode) -> Iterator[np.ndarray]:

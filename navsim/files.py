@@ -17,16 +17,15 @@ TEMPORARY = re.compile(r"\.(?P<target>.+)\.[a-z0-9_]{8}")
 
 
 @contextmanager
-def atomic_write(path: str | os.PathLike[str], mode: str = "w", *, parents: bool = True) -> Iterator[IO[Any]]:
+def atomic_write(path: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[Any]]:
     """A file that takes ``path``'s place when it is complete and on the disk, and leaves no trace when it is not.
 
-    What a link points to is replaced, and the link stays; a file that is replaced hands its permissions on. What is no
-    file, such as ``/dev/stdout`` or a pipe, is written to as it is.
+    Directories that are missing are made. What a link points to is replaced, and the link stays; a file that is
+    replaced hands its permissions on. What is no file, such as ``/dev/stdout`` or a pipe, is written to as it is.
 
     Args:
         path: of the file.
         mode: ``"w"``, UTF-8 with the line ends that are written, or ``"wb"``.
-        parents: whether directories that are missing are made.
 
     Raises:
         OSError: if it cannot be written, or is read-only; what was there is as it was.
@@ -42,10 +41,7 @@ def atomic_write(path: str | os.PathLike[str], mode: str = "w", *, parents: bool
     if place.is_file() and not os.access(place, os.W_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
     target = Path(path).resolve()
-    if parents:
-        target.parent.mkdir(parents=True, exist_ok=True)
-    elif not target.parent.is_dir():
-        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(Path(path).parent))
+    target.parent.mkdir(parents=True, exist_ok=True)
     try:
         handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
     except OSError as error:
@@ -67,8 +63,8 @@ def atomic_write(path: str | os.PathLike[str], mode: str = "w", *, parents: bool
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Writes a whole file, as ``atomic_write`` does, into a directory that is there."""
-    with atomic_write(path, parents=False) as file:
+    """Writes a whole file, as ``atomic_write`` does."""
+    with atomic_write(path) as file:
         file.write(text)
 
 

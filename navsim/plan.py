@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -182,7 +183,7 @@ class PlanPictures:
         worlds = simulator.world_index.tolist()
         # Plans of worlds that nobody drives in any more would only fill the memory.
         self._drawn = {world: drawn for world, drawn in self._drawn.items() if world in worlds}
-        views = views_of(images, simulator.image_poses, simulator.camera)
+        views = self._views(images)
         pictures = np.empty((simulator.num_robots, self.size, self.size, 3), dtype=np.uint8)
         for i, world in enumerate(worlds):
             if world not in self._drawn:
@@ -191,6 +192,19 @@ class PlanPictures:
             plan.show(simulator.poses[i], simulator.goals[i], views[i], obstacle_poses=simulator.obstacle_poses[i])
             pictures[i] = background.with_artists()
         return pictures
+
+    def _views(self, images: np.ndarray) -> np.ndarray:
+        """``(N, W + 1, 2)``: as :func:`views_of`, of cameras that are mounted as their episodes have drawn it."""
+        simulator = self._simulator
+        poses, lossy = simulator.image_poses, simulator.sensor.loses_returns
+        views = np.empty((len(images), simulator.camera.width + 1, 2))
+        each = np.stack(simulator.mounts, axis=1)
+        for mount in np.unique(each, axis=0):
+            robots = (each == mount).all(axis=1)
+            x, y, z, pitch = mount.tolist()
+            camera = replace(simulator.camera, mount_x=x, mount_y=y, mount_z=z, pitch_deg=math.degrees(pitch))
+            views[robots] = views_of(images[robots], poses[robots], camera, lossy=lossy)
+        return views
 
     def _begin(self, world: World) -> tuple[Plan, Background]:
         simulator = self._simulator
@@ -206,18 +220,19 @@ class PlanPictures:
         return plan, Background(figure, plan.artists)
 
 
-def views_of(images: np.ndarray, poses: np.ndarray, camera: DepthCamera) -> np.ndarray:
+def views_of(images: np.ndarray, poses: np.ndarray, camera: DepthCamera, *, lossy: bool = False) -> np.ndarray:
     """The parts of the floor plan that images see as free.
 
     Args:
         images: ``(K, H, W)`` uint8.
         poses: ``(K, 3)``, where they were taken.
         camera: what they were taken with.
+        lossy: whether the sensor loses returns; then a pixel without one hides nothing.
 
     Returns:
         ``(K, W + 1, 2)`` corners, metres in the world's frame.
     """
-    seen = scan_points(obstacle_depth(images, camera), camera)
+    seen = scan_points(obstacle_depth(images, camera, lossy=lossy), camera)
     eye = np.broadcast_to([camera.mount_x, camera.mount_y], (len(poses), 1, 2))
     x, y = np.moveaxis(np.concatenate([eye, seen], axis=1), -1, 0)
     cos, sin = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])

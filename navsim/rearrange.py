@@ -22,7 +22,7 @@ TOGETHER = 0.06
 """Obstacles that are nearer to each other than this, metres, are one piece of furniture."""
 _TRIES = 150  # places tried for a piece before it is left out: the room is full
 _SWEEP_MARGIN = 1e-3  # metres to the walls, at least, for what moves or can be pushed: its outline is made of points
-_SPACING = 0.05  # of the points that stand for a piece's outline, metres; errors of gaps are a hundredth of it
+_SPACING = 0.05  # of the points that stand for a piece's outline, metres
 
 
 def rearrange(world: World, count: int, generator: np.random.Generator, gap: float = 0.9) -> list[World]:
@@ -71,7 +71,7 @@ class _Piece:
 
     def __init__(self, prisms: list[Prism], margins: dict[int, float]) -> None:
         self.members = sorted({prism.obstacle for prism in prisms})
-        outline = np.concatenate([_outline(prism, outside=prism.obstacle in margins) for prism in prisms])
+        outline = np.concatenate([_outline(prism) for prism in prisms])
         self.margin = max(margins.get(member, 0.0) for member in self.members)
         self.centre = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
         self.outline = outline - self.centre
@@ -132,13 +132,13 @@ def _margin(one: DynamicObstacle) -> float:
     return max(_SWEEP_MARGIN, one.reach * (1.0 - math.cos(min(0.5 * _SPACING / one.reach, math.pi))))
 
 
-def _outline(prism: Prism, outside: bool = False) -> np.ndarray:
-    """``(K, 2)`` points along the edge of a footprint, metres; with ``outside``, none of it lies beyond them."""
+def _outline(prism: Prism) -> np.ndarray:
+    """``(K, 2)`` points along the edge of a footprint, metres; none of it lies beyond them."""
     if prism.is_cylinder and len(prism.vertices) == 1:
         count = max(16, math.ceil(2.0 * math.pi * prism.radius / _SPACING))
         angles = np.linspace(0.0, 2.0 * math.pi, count)
-        # Points around what must not reach out of the room lie around it, on the corners of a polygon that holds it.
-        radius = prism.radius / math.cos(math.pi / (count - 1)) if outside else prism.radius
+        # What must not reach out of the room lies within its points: they are the corners of a polygon that holds it.
+        radius = prism.radius / math.cos(math.pi / (count - 1))
         return prism.vertices[0] + radius * np.column_stack([np.cos(angles), np.sin(angles)])
     if prism.is_cylinder:  # the floor that a cylinder sweeps on a straight way
         ends = [Prism(prism.name, prism.obstacle, 0.0, 1.0, end[None], prism.radius) for end in prism.vertices]
@@ -146,7 +146,7 @@ def _outline(prism: Prism, outside: bool = False) -> np.ndarray:
         aside = prism.radius * np.array([-along[1], along[0]]) / np.linalg.norm(along)
         steps = np.linspace(0.0, 1.0, max(2, math.ceil(np.linalg.norm(along) / _SPACING)))[:, None]
         sides = [prism.vertices[0] + steps * along + side for side in (aside, -aside)]
-        return np.concatenate([*(_outline(end, outside) for end in ends), *sides])
+        return np.concatenate([*(_outline(end) for end in ends), *sides])
     following = np.roll(prism.vertices, -1, axis=0)
     parts = []
     for begin, end in zip(prism.vertices, following, strict=True):

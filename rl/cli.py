@@ -80,7 +80,7 @@ def _status_of(arguments: list[str]) -> int:
     except (ValueError, OSError) as error:
         if not _is_for_the_user(error):
             raise
-        print(error, file=sys.stderr)
+        print(f"{error.filename}: {error.strerror}" if isinstance(error, OSError) else error, file=sys.stderr)
         return USAGE_ERROR
     return 0
 
@@ -235,7 +235,7 @@ def drive(
         start: Which of the world's starts, counted from 0 as in pictures and reports.
         goal: Which of the world's goals, counted from 0 as in pictures and reports.
         seed: Seed of whatever the world leaves open: yaws of starts, starts, goals.
-        speed: How many times faster than real time the film plays.
+        speed: How many times faster than real time the film plays, 0.01 to 100.
         weights: Of a run: those that did best in its evaluations, or the last, which nothing was chosen by.
         symmetric: Whether to go by the mean of the network's values for what it sees and for the mirror image of that,
             whatever it was trained for.

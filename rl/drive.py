@@ -49,7 +49,7 @@ def drive(
         goal: which of the world's goals, counted from 0; by default the one that is farthest from the start, or the
             first where starts are random.
         seed: of what the world leaves open: yaws, random starts and goals.
-        speed: how many times faster than real time the film plays.
+        speed: how many times faster than real time the film plays, 0.01 to 100.
         weights: of a run: those that did best in its evaluations, or the last.
         symmetric: of what is named: whether to go by the mean of the network's values for what it sees and for the
             mirror image of that; by default as it was trained for.

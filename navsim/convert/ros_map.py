@@ -238,7 +238,7 @@ def save_ros_map(
     cells = occupied_cells(prisms, origin, resolution, (rows, columns))
     picture = target.with_suffix(".pgm")
     pixels = np.where(cells[::-1], _OCCUPIED, _FREE).astype(np.uint8)
-    with atomic_write(picture, "wb", parents=False) as file:
+    with atomic_write(picture, "wb") as file:
         file.write(f"P5\n{columns} {rows}\n255\n".encode() + pixels.tobytes())
     write_text(
         target,

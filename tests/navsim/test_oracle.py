@@ -139,6 +139,15 @@ def test_there_is_no_plan_within_too_few_steps():
     assert len(planned(world, task=Task(max_steps=44))) == 44
 
 
+def test_nothing_is_searched_for_a_goal_that_no_episode_is_long_enough_for(monkeypatch):
+    def search(*arguments):
+        raise AssertionError("there is nothing to be found")
+
+    monkeypatch.setattr("navsim.oracle._search", search)
+    field = World.from_dict({"format": 1, "size": [60, 60]})
+    assert Oracle(field).plan(np.array([-29.0, -29.0, 0.8]), np.array([29.0, 29.0])) is None
+
+
 def test_there_is_no_plan_from_a_pose_that_cannot_be_left():
     # 0.45 m before a wall and facing it: the tightest turn takes too long.
     world = make_world([], start=(2.5, 0.0), goal=(-2.0, 0.0))

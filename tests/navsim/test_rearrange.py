@@ -104,6 +104,16 @@ def test_small_things_that_swing_stay_in_the_room(reach):
     assert sum(len(room.obstacles) for room in rooms) == 200
 
 
+@pytest.mark.parametrize("radius", [0.02, 0.119, 0.5])
+def test_cylinders_stay_in_the_room(radius):
+    can = {"cylinder": {"at": [0, 0], "radius": radius, "height": 1}}
+    world = World.from_dict({"format": 1, "size": [4, 4], "obstacles": [can]})
+    places = np.array([room.obstacles[0].at for room in rearrange(world, 60, np.random.default_rng(0), GAP)])
+    reach = np.abs(places).max(axis=1) + radius
+    assert reach.max() <= 2.0
+    assert np.sum(reach > 2.0 - 0.03 * radius) > 10  # against a wall, but for the polygon around it
+
+
 def test_nothing_small_is_put_into_something_large():
     world = World.from_dict(
         {

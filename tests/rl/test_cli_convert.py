@@ -102,6 +102,21 @@ def test_nothing_is_written_over_what_is_read(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(
+    ("arguments", "name"),
+    [
+        (["schema"], "world.json"),
+        (["export", "simple_eval"], "room.sdf"),
+        (["export", "simple_eval"], "room.yaml"),
+        (["import", DATA / "irsim.yaml"], "room.yaml"),
+    ],
+)
+def test_directories_are_made(arguments, name, tmp_path):
+    target = tmp_path / "new" / "rooms" / name
+    assert run(*arguments, "-o", target) == 0
+    assert target.is_file()
+
+
+@pytest.mark.parametrize(
     ("arguments", "part"),
     [
         (["import", "none.sdf"], "none.sdf: cannot be read"),
@@ -114,7 +129,7 @@ def test_nothing_is_written_over_what_is_read(tmp_path, monkeypatch, capsys):
         (["export", "complex_eval", "-o", "room.obj"], "the suffix says no format"),
         (["export", "complex_evl", "-o", "room.sdf"], "did you mean 'complex_eval'?"),
         (["export", "complex_eval", "-o", "room.sdf", "--resolution", "0.1"], "settings of ROS maps"),
-        (["export", "complex_eval", "-o", "nowhere/room.sdf"], "No such file or directory"),
+        (["schema", "-o", "."], ".: Is a directory"),
     ],
 )
 def test_mistakes_are_told_in_a_sentence(arguments, part, capsys, tmp_path, monkeypatch):

@@ -173,7 +173,9 @@ def test_a_drive_makes_a_film(run, tmp_path, capsys):
     ("arguments", "message"),
     [
         (["oracle", "--world", "simple_eval", "-o", "a.avi"], r"a.avi: animations are written as .gif or .mp4"),
-        (["oracle", "--world", "simple_eval", "--speed", "0"], "speed must be positive; got 0"),
+        (["oracle", "--world", "simple_eval", "--speed", "0"], "speed must lie between 0.01 and 100; got 0"),
+        (["oracle", "--world", "simple_eval", "--speed", "1e9"], "speed must lie between 0.01 and 100; got 1e+09"),
+        (["oracle", "--world", "simple_eval", "--speed", "nan"], "speed must lie between 0.01 and 100; got nan"),
         (["oracle", "--world", "simple_eval", "--seed", "-1"], "seed must not be negative; got -1"),
         (["oracle", "--world", "simple_eval", "--start", "9"], 'world "simple_eval" has starts 0 to 4; --start asks'),
         (["pretrained:nonsense", "--world", "simple_eval"], 'no policy "pretrained:nonsense"'),

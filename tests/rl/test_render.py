@@ -12,7 +12,9 @@ from torchrl.envs import TransformedEnv
 from torchrl.envs.transforms import Compose
 from torchrl.record import CSVLogger, PixelRenderTransform, VideoRecorder
 
-from navsim.draw import GOAL, ROBOT
+from navsim.draw import GOAL, ROBOT, VIEW
+from navsim.randomization import Randomization
+from navsim.sensor import KINECT
 from navsim.world import World
 from rl.env import NavEnv
 
@@ -67,6 +69,24 @@ def test_pictures_follow_the_worlds_of_the_episodes():
         fresh = NavEnv([ROOM, MOVING], 4, seed=1)
         fresh.load_state_dict(env.state_dict())
         np.testing.assert_array_equal(env.render(SIDE), fresh.render(SIDE))
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"sensor": KINECT},
+        {"randomization": Randomization(camera_pitch_deg=(8.0, 8.0), camera_forward=(0.1, 0.1))},
+    ],
+)
+def test_views_are_as_wide_with_worse_sensors_and_cameras_that_hang_otherwise(settings):
+    def viewed(env: NavEnv) -> np.ndarray:
+        env.reset()
+        seen = 0.3 * 255 * np.array(to_rgb(VIEW)) + 0.7 * np.array([251, 249, 247])
+        return (np.abs(env.render(SIDE) - seen).max(axis=-1) < 12).mean(axis=(1, 2))
+
+    ideal, other = (viewed(NavEnv("complex_eval", 8, seed=1, **given)) for given in ({}, settings))
+    assert ideal.min() > 0.01
+    np.testing.assert_allclose(other, ideal, rtol=0.2, atol=0.01)
 
 
 def test_torchrl_films_it(tmp_path):
