@@ -68,6 +68,7 @@ BASE: dict[str, Any] = {"num_threads": 1, "report": False}
 """What all rows share, in place of their presets' settings."""
 
 _TWICE_AS_LONG = {"total_steps": 200_000, "eval_interval": 25_000}
+_THRICE_AS_LONG = {"total_steps": 300_000, "eval_interval": 25_000}  # of preset fast
 _PLAIN_LENGTH = {**_TWICE_AS_LONG, "steps_per_update": 8.0, "epsilon_steps": 25_000}
 _ALONE: dict[str, Any] = {"symmetric": False}
 _PLAIN_RETURNS: dict[str, Any] = {"n_step": 5, "epsilon_end": 0.3}
@@ -135,6 +136,11 @@ ROWS: dict[str, Row] = {
         for prefix, model, settings in (("", "", {}), ("S-", "D3QN-S, ", {"model": "S"}))
         for penalty in (0.3, 0.6)
     },
+    "fast-plain-length-0.3-longer": Row(
+        f"preset fast, {_PLAIN_WORLD}, where a metre costs 0.3, 300,000 steps",
+        {**_THRICE_AS_LONG, **_PLAIN_ROOMS, "task": Task(length_penalty=0.3)},
+        "fast",
+    ),
     "S-fast-plain-glorot": Row(
         f"preset fast, D3QN-S, {_PLAIN_WORLD}, weights for the heading begin as all others",
         {"model": "S", "heading_init": "glorot", **_PLAIN_ROOMS},
