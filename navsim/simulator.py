@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from os import PathLike
 from typing import Any, NamedTuple
 
@@ -228,14 +230,14 @@ class Simulator:
         if mask is None:
             return self._step_all(actions)
         stepped = self._checked_mask(mask, "step")
-        before = self.state_dict()
+        before = self._state()
         self._ended = self._ended & stepped
         try:
             moved = self._step_all(actions)
         except (ValueError, RuntimeError):
             self._ended = before["ended"]
             raise
-        self._restore(_rows_of_both(stepped, self.state_dict(), before))
+        self._restore(_rows_of_both(stepped, self._state(), before))
         depth, headings, pose = self._perceived()
         return Transition(
             depth,
@@ -278,7 +280,12 @@ class Simulator:
         )
 
     def state_dict(self) -> dict[str, Any]:
-        """All that the simulator's future depends on: numpy arrays, and a generator state (a dict) a robot."""
+        """All that the simulator's future depends on: numpy arrays, a generator state (a dict) a robot, and a word
+        that tells its worlds apart from others."""
+        return {**self._state(), "worlds": self._told_worlds}
+
+    def _state(self) -> dict[str, Any]:
+        """The same of the robots alone: a row, or an entry, each."""
         return {
             "physics": self._physics.state_dict(),
             "commands": self.commands.copy(),
@@ -298,7 +305,8 @@ class Simulator:
         """Goes on from a ``state_dict`` of a simulator with the same settings, bit for bit.
 
         Raises:
-            ValueError: for a state of another number of robots, or of other settings; then nothing is changed.
+            ValueError: for a state of another number of robots, of other worlds, or of another shape, such as other
+                cameras and sensors have; then nothing is changed. Tasks and robots are not compared.
         """
         if len(state["steps"]) != self.num_robots:
             raise ValueError(
@@ -311,18 +319,28 @@ class Simulator:
                 f"the state's robots are in {worlds} worlds or more, and this simulator has {len(self.worlds)}: "
                 "create it with the same worlds"
             )
-        # States from before it was kept have no such entry.
+        # States from before they were kept have no such entries.
         missing = {
-            "past_poses": np.repeat(np.asarray(state["physics"]["poses"])[:, None], self._past_poses.shape[1], axis=1)
+            "past_poses": np.repeat(np.asarray(state["physics"]["poses"])[:, None], self._past_poses.shape[1], axis=1),
+            "worlds": self._told_worlds,
         }
         state = {**missing, **state}
-        for key, own, given in _shapes_of_both(self.state_dict(), state):
+        if state["worlds"] != self._told_worlds:
+            raise ValueError(
+                "the state's robots are in other worlds than this simulator's: create it with the same worlds, in the "
+                "same order"
+            )
+        for key, own, given in _shapes_of_both(self._state(), state):
             if own != given:
                 raise ValueError(
                     f"the state's {key} is of shape {given}, and this simulator's of shape {own}: create it with the "
                     "same worlds, camera, sensor and randomization"
                 )
         self._restore(state)
+
+    @cached_property
+    def _told_worlds(self) -> str:
+        return hashlib.sha256("".join(world.fingerprint for world in self.worlds).encode()).hexdigest()
 
     def _restore(self, state: dict[str, Any]) -> None:
         self._physics.load_state_dict(state["physics"])

@@ -7,7 +7,9 @@ right on a plan, y up, z away from the floor.
 from __future__ import annotations
 
 import difflib
+import hashlib
 import itertools
+import json
 import math
 import reprlib
 from collections.abc import Iterable, Mapping
@@ -580,6 +582,13 @@ class World(_Settings):
         return data
 
     @cached_property
+    def fingerprint(self) -> str:
+        """Tells apart worlds in which anything but the name differs, by more than rounding on another machine."""
+        data = self.to_dict()
+        del data["name"]
+        return hashlib.sha256(json.dumps(_rounded(data), sort_keys=True).encode()).hexdigest()
+
+    @cached_property
     def prisms(self) -> tuple[Prism, ...]:
         """Walls first (north, east, south, west), then the obstacles; a concave polygon is several prisms."""
         prisms = [*self._wall_prisms()]
@@ -743,6 +752,15 @@ def _default_name(kind: str, position: int) -> str:
 
 def _plain(settings: BaseModel, without_name: bool = False) -> dict[str, Any]:
     return settings.model_dump(mode="json", exclude_defaults=True, exclude={"name"} if without_name else None)
+
+
+def _rounded(data: Any) -> Any:
+    """Plain data whose numbers have nine digits."""
+    if isinstance(data, dict):
+        return {key: _rounded(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [_rounded(value) for value in data]
+    return float(f"{data:.9g}") + 0.0 if isinstance(data, float) else data
 
 
 _EXAMPLES = {

@@ -166,6 +166,10 @@ class CategoricalD3QNLoss(D3QNLoss):
             raise ValueError(f"CategoricalD3QNLoss needs a CategoricalD3QN in its actor; got {type(network).__name__}")
         if q_actor.module[1].action_mask_key is not None:
             raise ValueError("CategoricalD3QNLoss knows no action masks; give the actor none, or use D3QNLoss")
+        self._check(network)
+
+    @staticmethod
+    def _check(network: CategoricalD3QN) -> None:
         if not is_plain(network):
             kind = "is symmetric" if network.symmetric else f"({type(network).__name__}) makes them in another way"
             raise ValueError(
@@ -177,6 +181,7 @@ class CategoricalD3QNLoss(D3QNLoss):
     def forward(self, tensordict: TensorDictBase) -> TensorDict:
         """The loss of a batch of transitions; see ``D3QNLoss.forward``."""
         keys = self.tensor_keys
+        self._check(self.value_network.module[0].module)  # a hook may have come to it since
         observation, next_observation = self._observations(tensordict)
         online, target = self._networks_of_weights()
         assert isinstance(online, CategoricalD3QN)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import torch
@@ -15,9 +16,9 @@ from navsim.animation import animate_episode, check_animation
 from navsim.robot import NUM_ACTIONS
 from navsim.sensor import SensorModel
 from navsim.world import Goal, Start
-from navsim.worldsource import world_from
+from navsim.worldsource import WorldSource, world_from
 from rl.config import TrainConfig
-from rl.evaluation import PathResult, Planner, Policy, evaluate_as_trained
+from rl.evaluation import PathResult, Planner, Policy, answered, evaluate_as_trained, of_policy
 from rl.policies import find_policy
 from rl.surroundings import REACH
 
@@ -26,8 +27,8 @@ _Place = TypeVar("_Place", Start, Goal)
 
 def drive(
     policy: str | Policy,
-    world: str,
-    output: Path,
+    world: WorldSource,
+    output: str | os.PathLike[str],
     *,
     start: int | None = None,
     goal: int | None = None,
@@ -65,6 +66,7 @@ def drive(
         RunError: for a policy that there is not, or that cannot be used.
         navsim.WorldError: for a world that cannot be used.
     """
+    output = Path(output)
     check_animation(output, speed)
     room = world_from(world)
     starts = _chosen("start", room.starts, start, room.name)
@@ -78,7 +80,7 @@ def drive(
     if isinstance(policy, str):
         driver, config = find_policy(policy, weights=weights, symmetric=symmetric)
     else:
-        driver, config = policy, getattr(policy, "trained_as", TrainConfig())
+        driver, config = policy, of_policy(policy, "trained_as") or TrainConfig()
     watched = driver if isinstance(driver, Planner) else _Watched(driver)
     result = evaluate_as_trained(
         watched,
@@ -123,11 +125,11 @@ def _chosen(
 class _Watched(torch.nn.Module):
     """A policy that keeps what it acted on, for the film: images, its Q-values and what it remembers, if it has any."""
 
-    def __init__(self, policy: Callable[[TensorDictBase], TensorDictBase]) -> None:
+    def __init__(self, policy: Callable[[TensorDictBase], Any]) -> None:
         super().__init__()
         self._policy = policy
         self.training = getattr(policy, "training", False)  # to which an evaluation returns
-        self.in_keys = getattr(policy, "in_keys", ())
+        self.in_keys = of_policy(policy, "in_keys") or ()
         self._images: list[torch.Tensor] = []
         self._values: list[torch.Tensor] = []
         self._surroundings: list[torch.Tensor] = []
@@ -136,7 +138,7 @@ class _Watched(torch.nn.Module):
         """What the policy does."""
         answer = self._policy(state)
         if answer is not None and answer is not state:
-            state.update(answer)
+            state.update(answered(answer, len(state)))
         self._images.append(state["depth"][0, -1].clone())
         values = state.get("action_value", None)
         if values is not None and values.shape[1:] == (NUM_ACTIONS,):  # else they are another kind's, such as logits

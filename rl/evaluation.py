@@ -6,7 +6,7 @@ import itertools
 import json
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
@@ -74,7 +74,7 @@ class Planner(Protocol):
         ...
 
 
-Policy = Callable[[TensorDictBase], TensorDictBase] | Planner
+Policy = Callable[[TensorDictBase], TensorDictBase | torch.Tensor | Mapping[str, Any] | None] | Planner
 """What can be evaluated: see :func:`evaluate`."""
 
 
@@ -396,9 +396,10 @@ def evaluate(
     Args:
         policy: takes a tensordict with ``depth`` uint8 ``(N, 4, H, W)``, ``heading`` float32 ``(N, 1)``, ``command``
             float32 ``(N, 2)``, if its ``in_keys`` name them ``surroundings`` float32 ``(N, 36)``, ``pose`` float32
-            ``(N, 3)`` and ``is_init`` bool ``(N, 1)``, true in an episode's first step, and writes ``action`` ``(N,)``.
-            What else it writes is there in the next step: its memory, one row a robot; what it writes under ``next``,
-            as TorchRL's recurrent modules do, in its place at the root. It gets all this on the device of its weights.
+            ``(N, 3)`` and ``is_init`` bool ``(N, 1)``, true in an episode's first step, and writes ``action`` ``(N,)``,
+            or returns the actions alone. What else it writes is there in the next step: its memory, one row a robot;
+            what it writes under ``next``, as TorchRL's recurrent modules do, in its place at the root. It gets all this
+            on the device of its weights.
             Or a ``Planner``; a path for which it has no plan counts as a timeout of no steps.
         world: a world, the path or name of a world file, or generated rooms such as
             ``"generate:clutter,count=200,seed=1"`` (see ``navsim.worldsource``); or several of these.
@@ -429,7 +430,12 @@ def evaluate(
         raise ValueError("an evaluation needs at least one world; got none")
     label = worlds[0].name if len(worlds) == 1 else _label(world, worlds)
     paths = _all_paths(worlds, num_paths, seed)
-    trained_as: TrainConfig | None = getattr(policy, "trained_as", None)
+    if not callable(policy) and not isinstance(policy, Planner):
+        raise ValueError(
+            f"evaluate takes a policy; got {policy!r}: give rl.load_policy of a run or of pretrained:NAME, or "
+            "rl.baselines.make_baseline of a baseline's name"
+        )
+    trained_as: TrainConfig | None = of_policy(policy, "trained_as")
     if trained_as is not None:
         camera, task, robot = camera or trained_as.camera, task or trained_as.task, robot or trained_as.robot
         sensor, frame_interval = sensor or trained_as.sensor, frame_interval or trained_as.frame_interval
@@ -536,7 +542,7 @@ def _drive_paths(
     starts, goals, phases = simulator.poses.copy(), simulator.goals.copy(), simulator.phases.copy()
     wheel_errors = simulator.wheel_errors.copy()
     memory = None
-    if "surroundings" in getattr(policy, "in_keys", ()):
+    if "surroundings" in (of_policy(policy, "in_keys") or ()):
         memory = Surroundings(len(paths), simulator.camera, lossy=simulator.sensor.loses_returns)
     state = _first_state(observation, simulator, memory, frame_interval)
     driven = np.ones(len(paths), dtype=bool)
@@ -694,12 +700,14 @@ def _drive(
     device = _device_of(policy)
     with torch.no_grad(), greedily, _evaluation_mode(policy), _one_thread():
         while len(running):
-            given = state if device.type == "cpu" else state.exclude(_HISTORY).to(device)
+            given = state.exclude(_HISTORY)
+            given = given if device.type == "cpu" else given.to(device)
             answer = policy(given)
-            answer = given if answer is None else answer
-            if answer is not state:
-                state.update(answer.to("cpu"))
-            actions = state["action"].reshape(-1).cpu().numpy()
+            answer = answered(given if answer is None else answer, len(running))
+            state.update(answer.to("cpu"))
+            if state.get("action", None) is None:
+                raise ValueError(f'the policy gave no "action", only {", ".join(map(str, answer.keys()))}')
+            actions = state["action"].reshape(-1).numpy()
             moved = simulator.step(actions)
             ended = moved.terminated | moved.truncated
             for robot, index in enumerate(running):
@@ -719,6 +727,17 @@ def _drive(
                 if len(running):
                     simulator, memory, state = _subset(simulator, memory, state, ~ended)
     return episodes
+
+
+def answered(answer: Any, count: int) -> TensorDictBase:
+    """What a policy says of ``count`` robots; one that returns a tensor alone returns actions."""
+    if isinstance(answer, torch.Tensor):
+        answer = {"action": answer}
+    if isinstance(answer, Mapping):
+        answer = TensorDict(dict(answer), [count])
+    if not isinstance(answer, TensorDictBase):
+        raise ValueError(f"a policy must return a tensordict or the actions; got {type(answer).__name__}")
+    return answer
 
 
 def _outcome(moved: Transition, robot: int) -> Outcome:
@@ -771,7 +790,9 @@ def _simulator_of(simulator: Simulator, kept: np.ndarray) -> Simulator:
         sensor=simulator.sensor,
         randomization=simulator.randomization,
     )
-    smaller.load_state_dict(pick(simulator.state_dict()))
+    state = simulator.state_dict()
+    del state["worlds"]  # which are the same
+    smaller.load_state_dict(pick(state))
     return smaller
 
 
@@ -795,6 +816,13 @@ def _seeded(device: torch.device, seed: int) -> Iterator[None]:
             with torch.cuda.device(device):
                 torch.cuda.manual_seed(seed)
         yield
+
+
+def of_policy(policy: object, name: str) -> Any:
+    """An attribute of a policy, or of the module that it wraps, such as torch's ``AveragedModel`` does; else None."""
+    while not hasattr(policy, name) and isinstance(inner := getattr(policy, "module", None), torch.nn.Module):
+        policy = inner
+    return getattr(policy, name, None)
 
 
 def _device_of(policy: object) -> torch.device:

@@ -16,7 +16,7 @@ from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss, ValueEstimators, distance_loss
 
 from rl.joint import hidden_of_update
-from rl.networks import D3QN
+from rl.networks import D3QN, SameConv2d
 
 
 class D3QNLoss(DQNLoss):
@@ -32,7 +32,9 @@ class D3QNLoss(DQNLoss):
 
     With a ``D3QN``, what ``DQNLoss`` spends beside the network (copies of tensordicts, ``step_mdp``, actions nobody
     reads, gradients through nothing) is gone, and ``rl.joint.hidden_of_update`` passes s and s' through it in fewer
-    products. Networks of another kind are called as ``DQNLoss`` calls them.
+    products. Networks of another kind are called as ``DQNLoss`` calls them, but for the state of recurrent ones: what
+    they remember in s' is what was recorded under ``next``, where ``DQNLoss`` begins a sequence of s' with what the
+    call for s has just written there.
 
     Like ``DQNLoss``, it writes the squared error into the tensordict as ``td_error``, ``(B, 1)``, the priority of
     prioritised replay, and weighs samples by their ``priority_weight`` if they have one. Unlike it, it also writes
@@ -132,8 +134,16 @@ class D3QNLoss(DQNLoss):
 
     def _observations(self, tensordict: TensorDictBase) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
         """What the networks see of s and of s'."""
-        keys = self.value_network.in_keys
-        return tuple(tensordict.get(key) for key in keys), tuple(tensordict.get(("next", key)) for key in keys)
+        keys, after = self.value_network.in_keys, tensordict.get("next")
+        seen = tuple(tensordict.get(key) for key in keys), tuple(after.get(key) for key in keys)
+        for values, place in zip(seen, ("its observation", '"next"'), strict=True):
+            missing = [str(key) for key, value in zip(keys, values, strict=True) if value is None]
+            if missing:
+                raise ValueError(
+                    f"the network sees {', '.join(missing)}, which the batch lacks in {place}: let the environment "
+                    "give it, and the replay keep it (make_replay's inputs)"
+                )
+        return seen
 
     def _values(self, observation: tuple[Tensor, ...], next_observation: tuple[Tensor, ...]) -> tuple[Tensor, Tensor]:
         """Online action values of s, ``(B, actions)``, and what s' is worth, ``(B, 1)``."""
@@ -170,12 +180,7 @@ class D3QNLoss(DQNLoss):
         """Whether action values are those of a ``D3QN``'s head, and nothing else has a say in them."""
         network, values = self.value_network.module
         own = network.module if type(network) is TensorDictModule else None
-        return (
-            own is not None
-            and is_plain(own)
-            and not (network._kwargs or own._forward_hooks or own._forward_pre_hooks)
-            and values.action_mask_key is None
-        )
+        return own is not None and is_plain(own) and not network._kwargs and values.action_mask_key is None
 
     def _networks_of_weights(self) -> tuple[D3QN, D3QN]:
         """Two networks that hold the loss's online and target weights themselves, not copies.
@@ -215,13 +220,25 @@ _WEIGHTS = {"_parameters", "_buffers", "_modules"}
 
 def is_plain(network: nn.Module) -> TypeGuard[D3QN]:
     """Whether a network's action values are its ``head`` of its ``hidden`` layers, which may then be made for s and s'
-    together: those of a symmetric policy, or of a subclass with a way of its own, are not."""
+    together: those of a symmetric policy, of a subclass with a way of its own, or of one with hooks or other layers in
+    the place of its convolutions, are not."""
     return (
         isinstance(network, D3QN)
         and not network.symmetric
         and type(network).forward is D3QN.forward
         and type(network).hidden is D3QN.hidden
+        and not _is_hooked(network)
+        and all(
+            type(layer).forward is SameConv2d.forward and not _is_hooked(layer)
+            for layer in (network.conv2, network.conv3)  # the others' weights are all that a D3QN reads of them
+        )
     )
+
+
+def _is_hooked(module: nn.Module) -> bool:
+    """Whether calling a module does more, or something else, than its class's ``forward`` does."""
+    hooks = (module._forward_hooks, module._forward_pre_hooks, module._backward_hooks, module._backward_pre_hooks)
+    return any(hooks) or "forward" in module.__dict__
 
 
 def fastest_autocast(device: str = "cpu") -> torch.dtype | None:

@@ -164,6 +164,10 @@ class D3QN(nn.Module):
     with weights of 0.03 and its units' kinks all at θ = −π, and takes tens of thousands of transitions to be heard. So
     these weights begin *spread*: uniform in (−1, 1), with biases that put each unit's kink at a heading of its own.
 
+    The convolutions' weights lie in memory with their channels last, in which order they are multiplied. What takes
+    contiguous ones alone, such as safetensors, ``parameters_to_vector`` and ``torch.optim.LBFGS``, gets them by
+    ``network.to(memory_format=torch.contiguous_format)``, which changes no number.
+
     >>> network = D3QN("S", height=64, width=80)
     >>> network(torch.zeros(2, 4, 64, 80, dtype=torch.uint8), torch.zeros(2, 1)).shape
     torch.Size([2, 7])
@@ -455,8 +459,13 @@ def symmetric_policy(actor: QValueActor) -> QValueActor:
 
     Args:
         actor: from ``make_q_actor`` or ``rl.load_policy``. It stays as it is; the weights are shared.
+
+    Raises:
+        ValueError: for an actor around a network that is no ``D3QN``.
     """
     network = copy.copy(actor.module[0].module)
+    if not isinstance(network, D3QN):
+        raise ValueError(f"a symmetric policy needs an actor around a D3QN; got one around a {type(network).__name__}")
     network.symmetric = True
     policy = QValueActor(network, in_keys=keys_of(network.inputs), spec=Categorical(NUM_ACTIONS)).train(actor.training)
     if hasattr(actor, "trained_as"):

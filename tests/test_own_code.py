@@ -34,6 +34,15 @@ def test_the_examples_run(tmp_path, monkeypatch, capsys):
     assert filmed == {"path": Path("own.gif")}
     assert names["forward"] in (0.2, 0.4)
 
+    turned = names["turned"]
+    speed = turned["next", "command"][..., 0]
+    cost = turned["next", "reward"][..., 0] + 0.01 - 0.2 * speed * turned["next", "heading"][..., 0].cos()
+    driven = ~turned["next", "terminated"][..., 0]
+    turn = (turned["next", "pose"] - turned["pose"])[..., 2]
+    turn = torch.remainder(turn + math.pi, 2.0 * math.pi) - math.pi
+    torch.testing.assert_close(cost[driven], -0.1 * turn[driven].abs() / 0.2, atol=1e-5, rtol=1e-4)
+    assert cost[driven].min() < -0.07
+
     sample = names["replay"].sample()
     torchrl = DQNLoss(names["actor"], double_dqn=True, delay_value=True, action_space="categorical")
     torchrl.make_value_estimator(gamma=0.97)  # as the comment has it

@@ -491,10 +491,10 @@ def test_a_state_of_other_settings_changes_nothing():
     state = Simulator(walkers(1.7), camera=SMALL, seed=1).state_dict()
     three = Simulator(walkers(1.5, 1.6, 1.7), camera=SMALL, seed=0)
     late = Simulator(walkers(1.7), camera=SMALL, sensor=SensorModel(latency=2), seed=0)
-    for simulator, key in ((three, "physics.phases"), (late, "sensor.images")):
+    for simulator, wrong in ((three, "robots are in other worlds"), (late, "sensor.images is of shape")):
         simulator.reset()
         before = simulator.state_dict()
-        with pytest.raises(ValueError, match=f"the state's {key} is of shape"):
+        with pytest.raises(ValueError, match=f"the state's {wrong}"):
             simulator.load_state_dict(state)
         assert_same_state(before, simulator.state_dict())
 
@@ -523,6 +523,30 @@ def test_a_state_of_more_worlds_is_refused_and_changes_nothing():
     with pytest.raises(ValueError, match="the state's robots are in 3 worlds or more, and this simulator has 1"):
         one.load_state_dict(several.state_dict())
     assert pickle.dumps(one.state_dict()) == before
+
+
+def test_a_state_of_other_worlds_is_refused_and_changes_nothing():
+    there = Simulator([cluttered_world(0), cluttered_world(1)], 2, camera=SMALL, seed=0)
+    there.reset()
+    for worlds in ([cluttered_world(2)] * 2, [cluttered_world(1), cluttered_world(0)]):
+        here = Simulator(worlds, 2, camera=SMALL, seed=1)
+        here.reset()
+        before = pickle.dumps(here.state_dict())
+        with pytest.raises(ValueError, match="in other worlds than this simulator's"):
+            here.load_state_dict(there.state_dict())
+        assert pickle.dumps(here.state_dict()) == before
+    alike = [cluttered_world(number).model_copy(update={"name": "other"}) for number in (0, 1)]
+    Simulator(alike, 2, camera=SMALL, seed=1).load_state_dict(there.state_dict())
+
+
+def test_a_state_from_before_worlds_were_told_apart_is_taken():
+    simulator = Simulator(cluttered_world(0), 2, camera=SMALL, seed=0)
+    simulator.reset()
+    old = simulator.state_dict()
+    del old["worlds"]
+    resumed = Simulator(cluttered_world(0), 2, camera=SMALL, seed=1)
+    resumed.load_state_dict(old)
+    assert_same_state(resumed.state_dict(), simulator.state_dict())
 
 
 def test_names_of_worlds_are_no_worlds():

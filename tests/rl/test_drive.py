@@ -209,3 +209,14 @@ def test_a_policy_that_returns_only_its_action_is_filmed(filmed, tmp_path):
     )
     result = drive(module, "simple_eval", tmp_path / "a.mp4")
     assert filmed["images"].shape == (result.steps, 64, 80)
+
+
+def test_a_wrapped_policy_a_function_of_actions_and_any_kind_of_name_are_taken(run, filmed, tmp_path):
+    world, output = load_world("simple_eval"), str(tmp_path / "a.mp4")
+    policy = load_policy(run.directory)
+    own = drive(policy, world, output)
+    wrapped = drive(torch.optim.swa_utils.AveragedModel(policy), world, output)
+    np.testing.assert_array_equal(own.trajectory, wrapped.trajectory)
+    assert filmed["remembered"].shape[0] == own.steps
+    result = drive(lambda state: torch.ones(len(state), dtype=torch.int64), world, output)
+    assert (result.actions == 1).all()

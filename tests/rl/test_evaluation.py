@@ -581,10 +581,37 @@ def test_policies_may_return_their_action_alone_or_nothing():
     def nothing(state):
         state["action"] = straight(state.clone())["action"]
 
+    def tensor(state):
+        return straight(state.clone())["action"]
+
+    def mapping(state):
+        return {"action": tensor(state)}
+
     expected = evaluate(straight, "simple_eval", num_paths=4).paths
-    for policy in (alone, nothing):
+    for policy in (alone, nothing, tensor, mapping):
         for path, other in zip(evaluate(policy, "simple_eval", num_paths=4).paths, expected, strict=True):
             np.testing.assert_array_equal(path.trajectory, other.trajectory)
+
+
+@pytest.mark.parametrize(
+    ("policy", "message"),
+    [
+        ("pretrained:I", r"evaluate takes a policy; got 'pretrained:I': give rl\.load_policy"),
+        (lambda state: None, 'the policy gave no "action", only depth, heading, command, pose, is_init$'),
+        (lambda state: 1, "a policy must return a tensordict or the actions; got int"),
+    ],
+)
+def test_what_is_no_policy_is_told_so(policy, message):
+    with pytest.raises(ValueError, match=message):
+        evaluate(policy, ROOM, camera=CAMERA, num_paths=2)
+
+
+def test_a_wrapped_policy_is_evaluated_as_it_was_trained():
+    policy = load_policy("pretrained:I")
+    averaged = torch.optim.swa_utils.AveragedModel(policy)
+    own, wrapped = (evaluate(one, "simple_eval", num_paths=3).paths for one in (policy, averaged))
+    for path, other in zip(own, wrapped, strict=True):
+        np.testing.assert_array_equal(path.trajectory, other.trajectory)
 
 
 def test_generators_of_devices_that_a_policy_is_not_on_are_left_alone(monkeypatch):

@@ -16,7 +16,7 @@ from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss, HardUpdate, SoftUpdate, ValueEstimators
 
 from rl.loss import D3QNLoss, fastest_autocast
-from rl.networks import D3QN, make_q_actor
+from rl.networks import D3QN, SameConv2d, make_q_actor
 
 HEIGHT, WIDTH = 20, 30
 
@@ -281,14 +281,24 @@ def test_fastest_autocast_is_a_format_for_the_loss():
     assert fastest_autocast() in (None, torch.bfloat16)
 
 
-@pytest.mark.parametrize("kind", ["subclass", "symmetric"])
+@pytest.mark.parametrize("kind", ["subclass", "symmetric", "hook", "layer", "wrapped"])
 def test_a_network_with_a_way_of_its_own_learns_by_it(kind):
     class Tenfold(D3QN):
         def forward(self, *observation):
             return 10.0 * super().forward(*observation)
 
+    class Half(SameConv2d):
+        def forward(self, images):
+            return 0.5 * super().forward(images)
+
     network = Tenfold("I", HEIGHT, WIDTH) if kind == "subclass" else D3QN("I", HEIGHT, WIDTH)
     network.symmetric = kind == "symmetric"
+    if kind == "hook":
+        network.conv3.register_forward_hook(lambda layer, images, result: 0.5 * result)
+    if kind == "layer":
+        network.conv2.__class__ = Half
+    if kind == "wrapped":
+        network.conv3 = nn.Sequential(network.conv3, nn.LeakyReLU(0.3))
     actor = QValueActor(network, in_keys=["depth", "heading"], spec=Categorical(7))
     batch = transitions(12)
     ours, torchrl = D3QNLoss(actor), DQNLoss(actor, action_space="categorical", double_dqn=True)
@@ -378,6 +388,16 @@ def test_any_actor_learns_as_with_torchrl(make, double_dqn):
             torch.manual_seed(1)
             values.append(loss(data.clone())["loss"])
         torch.testing.assert_close(*values)
+
+
+def test_what_a_network_lacks_is_named():
+    actor = make_q_actor("I", HEIGHT, WIDTH, inputs=["depth", "heading", "command"])
+    with pytest.raises(ValueError, match="sees command, which the batch lacks in its observation: let the env"):
+        D3QNLoss(actor)(transitions(8))
+    data = transitions(8)
+    data["command"] = torch.zeros(8, 2)
+    with pytest.raises(ValueError, match='sees command, which the batch lacks in "next"'):
+        D3QNLoss(actor)(data)
 
 
 def test_a_symmetry_that_is_switched_on_counts_at_once():

@@ -11,6 +11,8 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torch.nn import functional as F
+from torchrl.data import Categorical
+from torchrl.modules import QValueActor
 
 from rl.categorical import make_categorical_actor
 from rl.networks import D3QN, SameConv2d, make_q_actor, same_padding, symmetric_policy
@@ -343,3 +345,20 @@ def test_networks_are_made_in_the_default_format():
         assert network(torch.zeros(2, 4, 12, 20, dtype=torch.uint8), torch.zeros(2, 1)).dtype == torch.float64
     finally:
         torch.set_default_dtype(torch.float32)
+
+
+def test_only_networks_with_a_mirror_image_have_symmetric_policies():
+    actor = QValueActor(torch.nn.Linear(3, 7), in_keys=["x"], spec=Categorical(7))
+    with pytest.raises(ValueError, match="needs an actor around a D3QN; got one around a Linear"):
+        symmetric_policy(actor)
+
+
+def test_weights_may_be_made_contiguous():
+    network = D3QN("I", 12, 20)
+    seen = (torch.randint(0, 256, (3, 4, 12, 20), dtype=torch.uint8), torch.randn(3, 1))
+    before = network(*seen)
+    with pytest.raises(RuntimeError, match="view"):
+        torch.nn.utils.parameters_to_vector(network.parameters())
+    network.to(memory_format=torch.contiguous_format)
+    assert len(torch.nn.utils.parameters_to_vector(network.parameters())) == sum(network.parameter_counts().values())
+    torch.testing.assert_close(network(*seen), before)
