@@ -22,15 +22,11 @@ import numpy as np
 import shapely
 
 from navsim.errors import Finding, Problem, WorldError
-from navsim.oddities import Equipment, oddities, outlines, passages_of
+from navsim.oddities import MOST_PATHS, Equipment, oddities, outlines, passages_of, way_length
 from navsim.passages import Passage
-from navsim.planner import shortest_path_length
 from navsim.task import NoFreeMomentError, Path
 from navsim.world import MOST_TOLD, Goal, Start, World, parse_world
 from navsim.worldfile import decoded, read_document, read_file
-
-MOST_PATHS = 400
-"""Pairs of a start and a goal that are summarised: each takes milliseconds in a furnished room."""
 
 _TURNS = 8
 """Yaws that are tried of a start that leaves them open, and episodes where something moves."""
@@ -256,7 +252,7 @@ def summarise(world: World, equipment: Equipment | None = None) -> Summary:
     room = shapely.box(*-world.half_size, *world.half_size)
     covered = shapely.union_all(outlines(world.obstacles)).intersection(room).area
     paths = tuple(
-        PathSummary(i, j, _length(world, i, j, equipment), passage)
+        PathSummary(i, j, way_length(world, i, j, equipment), passage)
         for i, j, passage in itertools.islice(
             (
                 (i, j, passage)
@@ -269,14 +265,3 @@ def summarise(world: World, equipment: Equipment | None = None) -> Summary:
     kinds = Counter(obstacle.kind for obstacle in world.obstacles)
     left_out = len(world.paths) - len(paths)
     return Summary(room.area, dict(sorted(kinds.items())), covered / room.area, paths, left_out)
-
-
-def _length(world: World, start: int, goal: int, equipment: Equipment) -> float:
-    return shortest_path_length(
-        world,
-        world.starts[start].at,  # type: ignore[union-attr]
-        world.goals[goal].at,  # type: ignore[union-attr]
-        equipment.robot.radius,
-        equipment.robot.height,
-        equipment.task.goal_radius,
-    )

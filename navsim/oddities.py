@@ -16,6 +16,7 @@ import shapely
 from navsim.camera import DepthCamera
 from navsim.errors import Problem, key_path
 from navsim.passages import Passage, narrowest_passages
+from navsim.planner import shortest_path_length
 from navsim.raycast import Scene, render_depth
 from navsim.robot import ACTIONS, TURTLEBOT2, Robot
 from navsim.task import Episodes, NoFreeMomentError, Path, Task
@@ -25,6 +26,8 @@ REACHING_OUT = 1e-3
 """Metres that an obstacle may reach beyond the room without a remark."""
 SAME_PLACE = 1e-6
 """Metres within which an outline that touches another one counts as inside it."""
+MOST_PATHS = 400
+"""Pairs of a start and a goal whose ways are worked out: each takes milliseconds in a furnished room."""
 _MANY = 2_000  # obstacles
 _AS_EXACT = 5e-4  # radians: angles that are written with three digits and more
 _VIEWS = np.deg2rad(np.arange(-175.0, 181.0, 5.0))
@@ -77,7 +80,7 @@ def oddities(world: World, equipment: Equipment | None = None) -> list[Problem]:
         *_out_of_sight(world, equipment),
         *_radians(world),
         *_reached_at_once(world, equipment.task),
-        *_out_of_reach(world, equipment.task),
+        *_out_of_reach(world, equipment),
         *ended_at_once(world, equipment),
         *_never_free(world, equipment),
         *_narrow_ways(world, equipment),
@@ -97,6 +100,22 @@ def passages_of(world: World, robot: Robot = TURTLEBOT2) -> list[list[Passage]]:
         goals = np.array([goal.at for goal in world.goals])
         world.derived[key] = narrowest_passages(world, starts, goals, robot.height)
     return world.derived[key]
+
+
+def way_length(world: World, start: int, goal: int, equipment: Equipment) -> float:
+    """The shortest way from a listed start to where a listed goal is reached, metres; worked out once a world."""
+    robot, goal_radius = equipment.robot, equipment.task.goal_radius
+    known = world.derived.setdefault((way_length, robot.radius, robot.height, goal_radius), {})
+    if (start, goal) not in known:
+        known[start, goal] = shortest_path_length(
+            world,
+            world.starts[start].at,  # type: ignore[union-attr]
+            world.goals[goal].at,  # type: ignore[union-attr]
+            robot.radius,
+            robot.height,
+            goal_radius,
+        )
+    return known[start, goal]
 
 
 def _same_names(world: World) -> Iterator[Problem]:
@@ -166,19 +185,29 @@ def _radians(world: World) -> Iterator[Problem]:
             yield Problem(where, text)
 
 
-def _out_of_reach(world: World, task: Task) -> Iterator[Problem]:
-    """Goals that are farther away than the robot can drive in an episode."""
+def _out_of_reach(world: World, equipment: Equipment) -> Iterator[Problem]:
+    """Goals to which the way is longer than the robot can drive in an episode."""
     if isinstance(world.starts, str) or isinstance(world.goals, str):
         return
+    task = equipment.task
     reach = max(action.linear or 0.0 for action in ACTIONS) * task.control_period * task.max_steps
+    exact = set(world.paths[:MOST_PATHS])
     for j, goal in enumerate(world.goals):
-        far = [i for i, start in enumerate(world.starts) if math.dist(start.at, goal.at) - task.goal_radius > reach]
+        far = []
+        for i, start in enumerate(world.starts):
+            length = math.dist(start.at, goal.at) - task.goal_radius
+            if length <= reach and (i, j) in exact:
+                way = way_length(world, i, j, equipment)
+                length = way if math.isfinite(way) else length  # that there is none is told elsewhere
+            if length > reach:
+                far.append((i, length))
         if far:
-            distance = math.dist(world.starts[far[0]].at, goal.at)
-            others = f" (and {len(far) - 1} more)" if far[1:] else ""
+            (i, length), *more = far
+            others = f" (and {len(more)} more)" if more else ""
             text = (
-                f"is {distance:.4g} m from {key_path(('starts', far[0]))}{others}: the robot drives {reach:g} m in the "
-                f"{task.max_steps} steps of an episode; move one of them, or allow more (--task.max-steps)"
+                f"is {length:.4g} m from {key_path(('starts', i))}{others} by the shortest way: the robot drives "
+                f"{reach:g} m in the {task.max_steps} steps of an episode; move one of them, or allow more "
+                "(--task.max-steps)"
             )
             yield Problem(("goals", j), text)
 

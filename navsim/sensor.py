@@ -21,10 +21,12 @@ import numpy as np
 
 from navsim.camera import DepthCamera
 
-KINECT_COLUMNS, KINECT_ROWS = 640, 480
-"""Pixels of the Kinect's image, which figures in pixels are about."""
-DISPARITY = 580.0 * 0.075
-"""Disparity times depth, pixels of 640 in a row times metres: focal length 580 and baseline 75 mm (K. Konolige and
+FOCAL_LENGTH = 580.0
+"""Of the Kinect, in pixels of its 640x480, which figures in pixels are about."""
+BASELINE = 0.075
+"""From the Kinect's camera to its projector, metres."""
+DISPARITY = FOCAL_LENGTH * BASELINE
+"""Disparity times depth, pixels of 640 in a row times metres (K. Konolige and
 P. Mihelich, "Technical description of Kinect calibration", ROS wiki 2010; K. Khoshelham and S. O. Elberink, "Accuracy
 and resolution of Kinect depth data for indoor mapping applications", Sensors 12(2), 2012)."""
 EDGE = 2.0
@@ -152,10 +154,10 @@ def in_shadow(inverse: np.ndarray, camera: DepthCamera) -> np.ndarray:
     """``(..., H, W)`` bool: what a projector 75 mm to the camera's right does not light.
 
     The projector sees a pixel of column u at u - d, where d is its disparity in columns. Where something further right
-    in the image comes to lie further left from there, it stands in the way.
+    in the image comes to lie further left from there, it stands in the way; what the projector sees past the other side
+    of something so narrow is taken for shadow as well.
     """
-    columns = np.float32(DISPARITY * camera.width / KINECT_COLUMNS)
-    seen_at = np.arange(camera.width, dtype=np.float32) - columns * inverse
+    seen_at = np.arange(camera.width, dtype=np.float32) - np.float32(camera.fx * BASELINE) * inverse
     nearest = np.minimum.accumulate(seen_at[..., ::-1], axis=-1)[..., ::-1]
     return seen_at > nearest
 
@@ -261,7 +263,7 @@ class Sensor:
             uniform = self._uniform(robots)
             along, across = (
                 _displaced(inverse, self._normal(robots) * (sigma * np.float32(share)), uniform, axis)
-                for axis, share in ((-1, camera.width / KINECT_COLUMNS), (-2, camera.height / KINECT_ROWS))
+                for axis, share in ((-1, camera.fx / FOCAL_LENGTH), (-2, camera.fy / FOCAL_LENGTH))
             )
             step = across - inverse
             inverse = np.where(np.abs(step) < np.float32(EDGE / DISPARITY), along + step, across)

@@ -35,7 +35,7 @@ from navsim.sensor import SensorModel
 from navsim.simulator import Observation, Simulator, Transition
 from navsim.task import Path, Task
 from navsim.world import World
-from navsim.worldsource import WorldSource, worlds_from
+from navsim.worldsource import WorldSource, is_generated, worlds_from
 from rl.config import TrainConfig
 from rl.observation import history_length, stack_of
 from rl.surroundings import Surroundings
@@ -428,7 +428,7 @@ def evaluate(
     worlds = worlds_from(world)
     if not worlds:
         raise ValueError("an evaluation needs at least one world; got none")
-    label = worlds[0].name if len(worlds) == 1 else _label(world, worlds)
+    label = _label(world, worlds)
     paths = _all_paths(worlds, num_paths, seed)
     if not callable(policy) and not isinstance(policy, Planner):
         raise ValueError(
@@ -495,6 +495,8 @@ def evaluate_as_trained(
 
 def _label(source: WorldSource | Sequence[WorldSource], worlds: Sequence[World]) -> str:
     listed = [source] if isinstance(source, World | str | os.PathLike) else list(source)
+    if len(worlds) == 1 and not is_generated(listed[0]):
+        return worlds[0].name
     names = [entry.name if isinstance(entry, World) else os.fspath(entry) for entry in listed]
     return ", ".join(names) if len(names) <= 4 else f"{len(worlds)} worlds"
 

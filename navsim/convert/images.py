@@ -20,8 +20,14 @@ LONGEST_HEADER = 4096
 _PNM_HEADER = re.compile(rb"P[1-7f](?:\s+|#[^\r\n]*[\r\n])*\d+(?:\s+|#[^\r\n]*[\r\n])*\d+")
 
 
-def read_image(path: str | os.PathLike[str]) -> tuple[np.ndarray, np.ndarray | None]:
+def read_image(
+    path: str | os.PathLike[str], luminance: tuple[float, float, float] | None = None
+) -> tuple[np.ndarray, np.ndarray | None]:
     """A picture's brightness ``(H, W)`` float, 0 to 255, and opacity ``(H, W)``, None where it has none; top row first.
+
+    Args:
+        path: of the picture.
+        luminance: what red, green and blue contribute to brightness; a third each by default.
 
     Raises:
         ConversionError: when it cannot be read, or is excessive.
@@ -37,7 +43,7 @@ def read_image(path: str | os.PathLike[str]) -> tuple[np.ndarray, np.ndarray | N
                 if image.width * image.height > MOST_PIXELS:
                     size = f"{image.width} x {image.height}"
                     raise ConversionError(file, 0, f"has {size} pixels, more than {MOST_PIXELS}; scale it down")
-                return _brightness(image)
+                return _brightness(image, luminance)
     except ConversionError:
         raise
     except Image.DecompressionBombError:
@@ -47,7 +53,9 @@ def read_image(path: str | os.PathLike[str]) -> tuple[np.ndarray, np.ndarray | N
         raise ConversionError(file, 0, f"is not a picture that can be read ({kind}); save it as PGM or PNG") from None
 
 
-def _brightness(image: Image.Image) -> tuple[np.ndarray, np.ndarray | None]:
+def _brightness(
+    image: Image.Image, luminance: tuple[float, float, float] | None
+) -> tuple[np.ndarray, np.ndarray | None]:
     has_opacity = "A" in image.getbands() or "transparency" in image.info
     if image.mode.startswith(("I", "F")):
         values = np.asarray(image, dtype=np.float64)
@@ -57,4 +65,6 @@ def _brightness(image: Image.Image) -> tuple[np.ndarray, np.ndarray | None]:
         return np.asarray(image.convert("L"), dtype=np.float64), None
     colours = np.asarray(image.convert("RGBA" if has_opacity else "RGB"))
     opacity = colours[..., 3].astype(np.float64) if has_opacity else None
-    return colours[..., :3].sum(axis=2, dtype=np.float64) / 3.0, opacity
+    if luminance is None:
+        return colours[..., :3].sum(axis=2, dtype=np.float64) / 3.0, opacity
+    return colours[..., :3] @ np.array(luminance), opacity

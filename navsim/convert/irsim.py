@@ -57,6 +57,9 @@ def read_irsim(path: str | os.PathLike[str], wall_height: float = 2.0) -> Scene:
     return _Reader(root, Path(path), wall_height).scene
 
 
+_LUMINANCE = (0.2989, 0.5870, 0.1140)  # of red, green and blue, by which IR-SIM tells a picture's free floor
+
+
 class _Reader:
     def __init__(self, root: Node, path: Path, height: float) -> None:
         self.scene = Scene(str(path), path.stem, built=Walls(height=height))
@@ -80,10 +83,16 @@ class _Reader:
 
     def _read_map(self, world: Node, path: Path) -> None:
         image = world.need("obstacle_map", "map.png")
+        if isinstance(image.value, dict):  # what a name alone is short for
+            kind = image.get("name")
+            if kind is None or kind.value != "image":
+                self._notes.append("the generated obstacle_map is left out: only pictures are read")
+                return
+            image = image.need("path", "map.png")
         if not isinstance(image.value, str):
-            self._notes.append("the generated obstacle_map is left out: it comes out differently each time")
-            return
-        brightness, _ = read_image(path.parent / image.value if "\0" not in image.value else path.parent / "map.png")
+            raise image.error("must be the name of a picture, such as map.png")
+        file = path.parent / image.value if "\0" not in image.value else path.parent / "map.png"
+        brightness, _ = read_image(file, _LUMINANCE)
         step = world.get("mdownsample") or Node(1, world.file, world.line, "mdownsample")
         every = int(step.number())
         if every < 1:

@@ -227,12 +227,12 @@ def save_ros_map(
     thickness = world.walls.thickness if world.walls is not None else 0.0
     # The borders of cells meet the inner sides of the walls in the west and south.
     rim = math.ceil(thickness / resolution - 1e-9)
-    inner = np.ceil(np.array(world.size) / resolution - 1e-9)
-    if inner.max() + 2 * rim > 1e6 or math.prod(inner + 2 * rim) > MOST_CELLS:
+    counts = rim + np.ceil((np.array(world.size) + thickness) / resolution - 1e-9)
+    if counts.max() > 1e6 or math.prod(counts) > MOST_CELLS:
         raise ValueError(
             f"a map of {world.name} at {resolution:g} m a cell takes more than {MOST_CELLS} cells; coarsen it"
         )
-    columns, rows = (inner + 2 * rim).astype(int).tolist()
+    columns, rows = counts.astype(int).tolist()
     origin = -world.half_size - rim * resolution
     prisms = [prism for prism in world.prisms if prism.overlaps_heights(low, high)]
     cells = occupied_cells(prisms, origin, resolution, (rows, columns))

@@ -326,8 +326,13 @@ def _room_around(
     scene: Scene, solids: list[Solid], room: Room, notes: list[str]
 ) -> tuple[np.ndarray, np.ndarray, Walls | None, list[Solid]]:
     """Corners ``(2,)`` of the room in the file's coordinates, its walls, and the solids that are not its walls."""
-    found = _enclosure(solids) if scene.walls == "unsaid" and room.size is None else None
-    if found is not None:
+    found = _enclosure(solids) if scene.walls == "unsaid" else None
+    if found is not None and room.size is not None:
+        notes.append(
+            f"{_listed([solid.name for solid in found.walls])} enclose a room of {found.size[0]:g} x {found.size[1]:g} "
+            f"m, and are obstacles, since --size asks for another; leave it out and they become the walls"
+        )
+    elif found is not None:
         notes.append(
             f"{_listed([solid.name for solid in found.walls])} enclose a room of {found.size[0]:g} x {found.size[1]:g} "
             f"m: they became its walls"

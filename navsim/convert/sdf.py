@@ -505,7 +505,10 @@ def sdf_text(world: World) -> tuple[str, list[str]]:
     if world.walls is not None:
         _write_walls(xml, world)
     for obstacle in world.obstacles:
-        _write_model(xml, obstacle, unused(obstacle.name.replace("::", ":"), taken))
+        name = unused(obstacle.name.replace("::", ":"), taken)
+        if name != obstacle.name:
+            notes.append(f"'{obstacle.name}' is called '{name}', since SDF reserves its name or has it twice")
+        _write_model(xml, obstacle, name)
     xml.close(2)
     return xml.text, notes
 

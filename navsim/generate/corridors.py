@@ -26,6 +26,12 @@ def layout(generator: np.random.Generator, size: tuple[float, float], density: f
     able = [shape for shape in grids if density <= _density_range(size, shape)[1]]
     if not able:
         ranges = [_density_range(size, shape) for shape in _shapes(size)]
+        if not ranges and min(size) >= 2 * CELL[0]:
+            odd = next(length for length in size if not _counts(length))
+            raise ImpossibleError(
+                f"corridors in a room of {size[0]:g} by {size[1]:g} m: {odd:g} m cannot be divided into cells of "
+                f"{CELL[0]:g} to {CELL[1]:g} m; choose up to {2 * CELL[1]:g} m, or {3 * CELL[0]:g} m and more"
+            )
         if not ranges:
             raise ImpossibleError(
                 f"corridors need a room of at least {2 * CELL[0]:g} by {2 * CELL[0]:g} m, not {size[0]:g} by "
@@ -62,10 +68,13 @@ _Edge = tuple[int, int, int]
 
 def _shapes(size: tuple[float, float]) -> list[tuple[int, int]]:
     """Grids whose cells are of a good size."""
-    columns, rows = (
-        range(max(2, math.ceil(length / CELL[1] - 1e-9)), math.floor(length / CELL[0] + 1e-9) + 1) for length in size
-    )
+    columns, rows = map(_counts, size)
     return [(column, row) for column in columns for row in rows]
+
+
+def _counts(length: float) -> range:
+    """Into how many cells of a good size a length may be divided."""
+    return range(max(2, math.ceil(length / CELL[1] - 1e-9)), math.floor(length / CELL[0] + 1e-9) + 1)
 
 
 def _edges(shape: tuple[int, int]) -> list[_Edge]:

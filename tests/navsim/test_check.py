@@ -6,6 +6,7 @@ import io
 import itertools
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -183,8 +184,18 @@ def test_a_goal_beyond_what_can_be_driven_in_an_episode_is_told():
     hall = "format: 1\nsize: [60, 8]\nstarts: [[-28, 0], [0, 0], [-28, 2]]\ngoals: [[28, 0]]\n"
     ((severity, underlined, message),) = marked(hall)
     assert (severity, underlined) == ("warning", "[28, 0]")
-    assert "is 56 m from starts[0] (and 1 more): the robot drives 40 m in the 500 steps of an episode" in message
+    assert "m from starts[0] (and 1 more) by the shortest way: the robot drives 40 m in the 500 steps" in message
     assert marked(hall.replace("[28, 0]", "[12.4, 0]")) == []  # 40.4 m, of which 0.5 m need not be driven
+
+
+def test_a_way_longer_than_can_be_driven_in_an_episode_is_told():
+    maze = "format: 1\nsize: [14, 16]\nobstacles:\n" + "".join(
+        f"  - box: {{at: [{0.75 * (-1) ** (row + 1)}, {2 * row - 6}], size: [12.5, 0.1], height: 1}}\n"
+        for row in range(7)
+    )
+    ((severity, underlined, message),) = marked(maze + "starts: [[-6, -7]]\ngoals: [[0, 7.2]]\n")
+    assert (severity, underlined) == ("warning", "[0, 7.2]")
+    assert re.search(r"is 8\d\.\d\d m from starts\[0\] by the shortest way: the robot drives 40 m", message)
 
 
 WALKER = "{cylinder: {at: [-2.6, 0], radius: 0.2, height: 1, motion: {path: [[-2.6, 0], [-2.6, 3]], speed: 0.5}}}"

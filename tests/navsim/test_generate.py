@@ -366,6 +366,10 @@ def test_the_smallest_rooms_are_made_or_refused_in_a_sentence(kind, sizes):
         ({"seed": -1}, "seed must be a whole number, at least 0; got -1"),
         ({"index": -1}, "the number of a room must be at least 0; got -1"),
         ({"kind": "corridors", "size": (2.5, 7.0)}, "corridors need a room of at least 2.7 by 2.7 m, not 2.5 by 7 m"),
+        (
+            {"kind": "corridors", "size": (7.0, 4.0)},
+            "4 m cannot be divided into cells of 1.35 to 1.9 m",
+        ),
         ({"kind": "corridors", "density": 0.3}, "corridors in a room of 7 by 7 m cover 0.0"),
         ({"kind": "office", "size": (4.0, 5.0)}, "an office needs a room with a side of at least 5.3 m"),
         ({"kind": "warehouse", "size": (3.0, 7.0)}, "a warehouse needs a room of at least 4 by 4 m, not 3 by 7 m"),

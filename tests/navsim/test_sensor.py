@@ -14,7 +14,6 @@ from navsim.camera import DepthCamera
 from navsim.raycast import render_depth
 from navsim.robot import NUM_ACTIONS
 from navsim.sensor import (
-    DISPARITY,
     KINECT,
     Sensor,
     SensorModel,
@@ -135,7 +134,7 @@ def test_silhouettes_are_displaced_by_nguyens_lateral_sigma(width):
     """On either side of an edge E[max(δ, 0)] = σ/√(2π) pixels show what belongs to the other."""
     camera = DepthCamera(width=width, height=64)
     model = SensorModel(lateral_noise=1.0)
-    sigma = 0.8 * width / 640  # head-on; σ(θ) grows by 0.2% at the edges of such an image
+    sigma = 0.8 * camera.fx / 580.0  # head-on; σ(θ) grows by 0.2% at the edges of such an image
     read = expose(model, step_edge(camera, 16), camera)
     rows = 16 * 64
     lost = np.count_nonzero(read[..., : width // 2] > 2.0) / rows
@@ -152,7 +151,7 @@ def test_how_far_silhouettes_are_displaced_is_normal_in_the_kinects_own_pixels()
     read = expose(SensorModel(lateral_noise=2.0), step_edge(camera, 16), camera)
     shares = (read < 2.0).mean(axis=(0, 1))
     beyond = np.arange(640) - (320 - 1)  # columns past the last one of the board
-    sigma, reach = 1.6, np.linspace(-9.0, 9.0, 20001)
+    sigma, reach = 1.6 * camera.fx / 580.0, np.linspace(-9.0, 9.0, 20001)
     density = stats.norm.pdf(reach, scale=sigma)
     # A pixel k columns past the board shows it where its displacement, rounded at random, is -k or less.
     expected = [np.trapezoid(density * np.clip(1.0 - (reach + k), 0.0, 1.0), reach) for k in beyond[314:326]]
@@ -164,9 +163,9 @@ def test_lateral_noise_follows_planes(direction):
     """Displacing what is seen of a wall that is turned away adds the depth of the displacement, no more."""
     camera, slope = DepthCamera(), 0.8  # metres of depth per metre to the left, or upwards
     if direction == "to the left":
-        slopes, focal_length, pixel = np.broadcast_to(camera.column_slopes, (64, 80)), camera.fx, 80 / 640
+        slopes, focal_length, pixel = np.broadcast_to(camera.column_slopes, (64, 80)), camera.fx, camera.fx / 580.0
     else:
-        slopes, focal_length, pixel = np.repeat(camera.row_slopes[:, None], 80, axis=1), camera.fy, 64 / 480
+        slopes, focal_length, pixel = np.repeat(camera.row_slopes[:, None], 80, axis=1), camera.fy, camera.fy / 580.0
     inverse = (1.0 - slope * slopes) / 2.0
     read = expose(SensorModel(lateral_noise=1.0), np.repeat(1.0 / inverse[None], 30, axis=0), camera)
     displaced = ((1.0 / read - inverse) / (slope / focal_length / 2.0))[:, 5:-5, 5:-5]  # pixels
@@ -198,13 +197,22 @@ def test_incidence_is_the_angle_between_ray_and_surface():
     assert np.all((cosine > 0.0) & (cosine <= 1.0 + 1e-9))
 
 
-def test_shadows_are_as_wide_as_the_jump_of_disparity_on_the_left_side():
-    camera = DepthCamera(width=640, height=4)
+@pytest.mark.parametrize("field_of_view", [40.0, 60.0, 90.0])
+def test_shadows_are_what_a_projector_to_the_right_does_not_light(field_of_view):
+    camera = DepthCamera(width=640, height=4, horizontal_fov_deg=field_of_view)
     ideal = wall(3.1, 1, camera)
-    ideal[..., 300:340] = 1.0
+    ideal[..., 300:400] = 1.0
     shadow = in_shadow(1.0 / ideal, camera)[0, 0]
-    width = DISPARITY * (1.0 - 1.0 / 3.1)  # 29.5 pixels
-    assert set(np.flatnonzero(shadow)) == set(range(300 - math.floor(width), 300))
+    # Where the way from the projector, 75 mm to the right, to each pixel's place on the wall passes the board at 1 m.
+    places = 3.1 * camera.column_slopes
+    passes = -0.075 + (places + 0.075) / 3.1
+    left, right = (camera.column_slopes[column] for column in (300, 399))
+    expected = (passes < left) & (passes > right) & (ideal[0, 0] > 2.0)
+    assert np.abs(np.flatnonzero(shadow)[[0, -1]] - np.flatnonzero(expected)[[0, -1]]).max() <= 1
+    assert shadow.sum() == pytest.approx(camera.fx * 0.075 * (1.0 - 1.0 / 3.1), abs=1.0)
+
+
+def test_the_shadows_of_a_small_image():
     small = DepthCamera()
     ideal = wall(3.0, 1, small)
     ideal[..., 40:45] = 1.0

@@ -473,6 +473,8 @@ def test_generated_rooms_are_evaluated_by_their_source():
     assert evaluation.world == source
     assert evaluation.worlds == ("blocks-0001", "blocks-0002", "blocks-0003")
     assert [path.world_index for path in evaluation.paths] == [0, 0, 1, 1, 2, 2]
+    one = "generate:blocks,size=4x4,density=0.06,seed=2"
+    assert drive(ahead, one, num_paths=2).world == one
 
 
 def test_worlds_survive_json_and_older_files_have_one(tmp_path):

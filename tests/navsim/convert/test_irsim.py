@@ -131,6 +131,24 @@ def test_an_obstacle_map_is_read(tmp_path):
         assert np.allclose([low, high], [(6.0, 3.0), (8.0, 3.0 + size)])
 
 
+def test_a_picture_map_may_have_settings_and_other_generators_are_left_out(tmp_path):
+    Image.fromarray(np.pad(np.zeros((10, 10), dtype=np.uint8), 20, constant_values=255)).save(tmp_path / "map.png")
+    scene = read(tmp_path, "world: {width: 5, height: 5, obstacle_map: {name: image, path: map.png}}")
+    assert len(scene.solids) == 1
+    scene = read(tmp_path, "world: {width: 5, height: 5, obstacle_map: {name: perlin, seed: 3}}")
+    assert scene.solids == []
+    assert any("only pictures are read" in note for note in scene.notes)
+
+
+def test_colours_of_a_map_are_as_bright_as_ir_sim_takes_them_for(tmp_path):
+    pixels = np.full((40, 60, 3), 255, dtype=np.uint8)
+    pixels[5:15, 5:15] = (255, 0, 255)  # magenta, 0.41 of white by IR-SIM's _rgb2gray, and two thirds by the mean
+    pixels[5:15, 40:50] = (0, 255, 0)  # green, 0.59 and a third
+    Image.fromarray(pixels).save(tmp_path / "map.png")
+    (patch,) = read(tmp_path, "world: {width: 6, height: 4, obstacle_map: map.png}").solids
+    assert np.allclose([np.min(patch.points, axis=0), np.max(patch.points, axis=0)], [(0.5, 2.5), (1.5, 3.5)])
+
+
 @pytest.mark.parametrize(
     ("text", "part"),
     [

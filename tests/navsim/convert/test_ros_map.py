@@ -141,6 +141,19 @@ def test_a_closed_rim_becomes_the_walls(tmp_path):
     assert len(world.obstacles) > 0
 
 
+@pytest.mark.parametrize("resolution", [0.02, 0.03, 0.05, 0.07])
+@pytest.mark.parametrize("name", ["complex_train", "simple_eval"])
+def test_walls_come_back_whatever_the_resolution(name, resolution, tmp_path):
+    world = navsim.load_world(name)
+    save_ros_map(world, tmp_path / "map.yaml", resolution=resolution)
+    picture = imageio.imread(tmp_path / "map.pgm")
+    for edge in (picture[0], picture[-1], picture[:, 0], picture[:, -1]):
+        assert (edge == 0).mean() > 0.9
+    back, notes = load_ros_map(tmp_path / "map.yaml")
+    assert any("rim" in note for note in notes)
+    np.testing.assert_allclose(back.size, world.size, atol=2.0 * resolution)
+
+
 def test_transparent_pixels_are_unknown_in_scale_mode(tmp_path):
     from PIL import Image
 

@@ -269,6 +269,12 @@ def test_four_boxes_become_walls_exactly_if_they_enclose_all(tmp_path, change, b
     assert any("no four walls" in note for note in notes) != becomes_walls
 
 
+def test_walls_that_a_size_makes_obstacles_are_told(tmp_path):
+    world, notes = load_sdf(DATA / "lab.world", room=Room(size=(9.0, 9.0)), model_paths=[DATA / "models"])
+    assert world.size == (9.0, 9.0)
+    assert any("and are obstacles, since --size asks for another" in note for note in notes)
+
+
 def test_a_world_without_walls_gets_a_room_around_what_stands_in_it(tmp_path):
     path = world_file(tmp_path, model(link(BOX), pose="<pose>10 0 0.4 0 0 0</pose>"))
     world, notes = load_sdf(path)
@@ -394,7 +400,10 @@ def test_names_that_sdf_forbids_are_changed_and_others_survive(tmp_path):
             {"cylinder": {"name": name, "at": [i - 3, 0], "radius": 0.1, "height": 1}} for i, name in enumerate(names)
         ]}
     )  # fmt: skip
-    save_sdf(world, tmp_path / "world.sdf")
+    told = [note for note in save_sdf(world, tmp_path / "world.sdf") if "is called" in note]
+    assert [note.split(",")[0] for note in told] == [
+        "'a::b' is called 'a:b'", "'__x__' is called 'x'", "'twin' is called 'twin_2'", "'world' is called 'world_2'"
+    ]  # fmt: skip
     back, _ = load_sdf(tmp_path / "world.sdf")
     assert [obstacle.name for obstacle in back.obstacles] == ["a:b", "x", "twin", "twin_2", 'L <&> "é"', "world_2"]
 
