@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import imageio.v3 as imageio
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ import rl.drive
 from navsim.camera import DepthCamera
 from navsim.raycast import render_depth
 from navsim.sensor import SensorModel
+from navsim.task import Task
 from navsim.worldfile import load_world
 from navsim.worldsource import world_from
 from rl.cli import main
@@ -214,6 +217,7 @@ def test_a_policy_that_returns_only_its_action_is_filmed(filmed, tmp_path):
 def test_a_wrapped_policy_a_function_of_actions_and_any_kind_of_name_are_taken(run, filmed, tmp_path):
     world, output = load_world("simple_eval"), str(tmp_path / "a.mp4")
     policy = load_policy(run.directory)
+    policy.trained_as = dataclasses.replace(policy.trained_as, task=Task(max_steps=15))
     own = drive(policy, world, output)
     wrapped = drive(torch.optim.swa_utils.AveragedModel(policy), world, output)
     np.testing.assert_array_equal(own.trajectory, wrapped.trajectory)
