@@ -85,6 +85,8 @@ def run(
         width: of the images, pixels.
         seconds: that each of the seven rounds takes, for each learner.
     """
+    if num_threads < 1:
+        raise ValueError(f"--num-threads must be positive; got {num_threads}")
     keep_freed_memory()
     torch.set_num_threads(num_threads)
     camera = DepthCamera(width=width, height=height)

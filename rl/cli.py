@@ -200,7 +200,7 @@ def evaluate(
         policy,
         config,
         world,
-        name=Path(run).name,
+        name=(Path(run).resolve() if Path(run).is_dir() else Path(run)).name,
         sensor=SensorModel() if ideal else None,
         randomization=config.randomization if randomized else None,
         seed=seed,
@@ -453,16 +453,18 @@ def _training_settings(arguments: Sequence[str]) -> tuple["TrainConfig", bool]:
     finder = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     finder.add_argument("--preset", nargs="?")
     preset = finder.parse_known_args(arguments)[0].preset
+    from rl.run import Run
+
     try:
         config, resume = _parse(arguments, PRESETS.get(preset, PRESETS[DEFAULT_PRESET]))
     except ConfigError as error:
         if error.config is None:
             raise
-        from rl.feasibility import obstacles
+        if "--resume" not in arguments or not Run(error.config.directory).exists:
+            from rl.feasibility import obstacles
 
-        raise ConfigError("\n".join([str(error), *obstacles(error.config)])) from None
-    from rl.run import Run
-
+            raise ConfigError("\n".join([str(error), *obstacles(error.config)])) from None
+        config, resume = error.config, True  # what the preset has may not suit, but the run's own settings
     run = Run(config.directory)
     if not (resume and run.exists):
         return config, False

@@ -317,7 +317,7 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
             )
         mirroring = [f"--no-{name}" for name in ("mirror", "symmetric") if getattr(self, name)]
         left, right = self.randomization.camera_left
-        if mirroring and (self.camera.mount_y != 0.0 or left != -right):
+        if mirroring and self.sees_to_one_side:
             yield (
                 f"--camera.mount-y ({self.camera.mount_y}) and --randomization.camera-left ({left} {right}) put the "
                 f"camera more to one side, so that a mirror image is not what this robot sees; add "
@@ -363,6 +363,12 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
         if self.world != PRESETS[self.preset].world:
             named.append("+".join(map(short_name, self.world)))
         return Path("runs") / "-".join([*named, f"seed{self.seed}"])
+
+    @property
+    def sees_to_one_side(self) -> bool:
+        """Whether the camera is more to one side, so that the mirror image of what it sees is none that it sees."""
+        left, right = self.randomization.camera_left
+        return self.camera.mount_y != 0.0 or left != -right
 
     def to_dict(self) -> dict[str, Any]:
         """The settings as plain values, for JSON."""

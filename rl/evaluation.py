@@ -36,7 +36,7 @@ from navsim.simulator import Observation, Simulator, Transition
 from navsim.task import Path, Task
 from navsim.world import World
 from navsim.worldsource import WorldSource, is_generated, worlds_from
-from rl.config import TrainConfig
+from rl.config import GREATEST_SEED, TrainConfig
 from rl.observation import history_length, stack_of
 from rl.surroundings import Surroundings
 
@@ -423,8 +423,8 @@ def evaluate(
         navsim.WorldError: for a world that cannot be used.
         ValueError: for settings that cannot be used.
     """
-    if seed < 0:
-        raise ValueError(f"seed must not be negative; got {seed}")
+    if not 0 <= seed <= GREATEST_SEED:
+        raise ValueError(f"seed must lie between 0 and {GREATEST_SEED}; got {seed}")
     worlds = worlds_from(world)
     if not worlds:
         raise ValueError("an evaluation needs at least one world; got none")

@@ -39,7 +39,7 @@ def find_policy(
         raise _no_last_weights(name)
     if name.startswith(PREFIX):
         policy, config = load_pretrained(name)
-        return _symmetric(policy, symmetric), config
+        return _symmetric(policy, config, symmetric), config
     if name in BASELINES:
         if symmetric is not None:
             raise RunError(f"{name} is a baseline, which has no network to ask twice: leave --symmetric out")
@@ -78,12 +78,13 @@ def load_policy(
 
     Raises:
         RunError: for a directory without a run, for last weights of what is no run, and for files that are missing,
-            damaged or do not fit together.
+            damaged or do not fit together, or for a symmetric policy whose camera sits to one side.
     """
     if str(run).startswith(PREFIX):
         if weights != "best":
             raise _no_last_weights(str(run))
-        return _symmetric(load_pretrained(str(run))[0], symmetric)
+        policy, config = load_pretrained(str(run))
+        return _symmetric(policy, config, symmetric)
     opened = Run.open(Path(run))
     config = opened.config
     name = POLICY_FILES[weights]
@@ -96,7 +97,7 @@ def load_policy(
         )
     actor = make_actor(config)
     actor.load_state_dict(found)
-    policy = _symmetric(policy_of(actor.eval(), config), symmetric)
+    policy = _symmetric(policy_of(actor.eval(), config), config, symmetric)
     policy.trained_as = config
     return policy
 
@@ -105,7 +106,13 @@ def _no_last_weights(name: str) -> RunError:
     return RunError(f"{name} is no run, which alone has last weights beside the best")
 
 
-def _symmetric(policy: QValueActor, wanted: bool | None) -> QValueActor:
+def _symmetric(policy: QValueActor, config: TrainConfig, wanted: bool | None) -> QValueActor:
+    if wanted and config.sees_to_one_side:
+        raise RunError(
+            f"the camera is more to one side (camera.mount_y {config.camera.mount_y:g}, randomization.camera_left "
+            f"{config.randomization.camera_left}), so that a mirror image is not what this robot sees: it cannot be "
+            "symmetric"
+        )
     if wanted is not None:
         policy.module[0].module.symmetric = wanted
     return policy

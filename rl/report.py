@@ -96,8 +96,8 @@ def _contents(run: Run, config: TrainConfig, evaluations: Sequence[Evaluation]) 
     several = len(policy.worlds) > 1
     shown = [evaluation for evaluation in evaluations if not evaluation.policy.endswith(LAST_WEIGHTS)]
     return {
-        "title": f"{run.directory.name}: {policy.success_rate:.0%} of {policy.world}",
-        "run_name": run.directory.name,
+        "title": f"{run.directory.resolve().name}: {policy.success_rate:.0%} of {policy.world}",
+        "run_name": run.directory.resolve().name,
         "headline": f"{policy.policy} reaches {policy.count('success')} of {len(policy.paths)} goals in {policy.world}"
         + (f", {_never_seen(several)}" if unseen else ""),
         "unseen": unseen,
@@ -303,7 +303,8 @@ def _depth_stack(actor: QValueActor, config: TrainConfig, world: World, path: Pa
     )
     if "surroundings" in config.inputs:
         driven = np.arange(step + 1)
-        remembered = remembered_at_end(_ideal_images(config, world, path, driven), path.trajectory[driven], camera)
+        images = camera.to_uint8(_ideal_images(config, world, path, driven))
+        remembered = remembered_at_end(images, path.trajectory[driven], camera)
         observation["surroundings"] = torch.from_numpy(remembered)
     with torch.no_grad():
         q_values = actor(observation)["action_value"][0].numpy()

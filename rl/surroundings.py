@@ -124,7 +124,7 @@ def remembered_at_end(images: np.ndarray, poses: np.ndarray, camera: DepthCamera
     """``(1, SECTORS)`` float32, what a robot remembers at the end of a drive; see ``Surroundings``.
 
     Args:
-        images: ``(K, H, W)``, from the episode's first on.
+        images: ``(K, H, W)`` uint8, from the episode's first on.
         poses: ``(K, 3)``, where they were taken.
         camera: whose they are.
     """

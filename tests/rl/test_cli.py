@@ -25,7 +25,7 @@ from navsim.robot import Robot
 from navsim.sensor import SensorModel
 from navsim.task import Task
 from rl.cli import _training_settings, main
-from rl.config import PRESETS, TrainConfig
+from rl.config import PRESETS, ConfigError, TrainConfig
 from rl.evaluation import Evaluation, evaluate_as_trained
 from rl.policies import load_policy
 from rl.run import Run, RunError
@@ -150,6 +150,21 @@ def test_a_run_goes_on_with_the_format_that_was_chosen_and_may_get_its_report_la
     assert _training_settings(arguments)[0].report
     with pytest.raises(RunError, match="begun with other settings \\(autocast\\)"):
         _training_settings([*arguments, "--autocast", "bfloat16"])
+
+
+def test_a_runs_own_settings_need_not_suit_its_preset(finished):
+    steps = str(Run(finished).config.total_steps)  # too few for the preset's warm-up
+    assert _training_settings(["--out", str(finished), "--resume", "--total-steps", steps])[1]
+    with pytest.raises(RunError, match="begun with other settings \\(total_steps\\)"):
+        _training_settings(["--out", str(finished), "--resume", "--total-steps", str(int(steps) + 8)])
+    with pytest.raises(ConfigError, match="must be at least --warmup-steps"):
+        _training_settings(["--out", str(finished / "none"), "--resume", "--total-steps", steps])
+
+
+def test_a_run_has_its_name_from_inside_its_directory_too(finished, room, tmp_path, monkeypatch):
+    monkeypatch.chdir(finished)
+    assert main(["evaluate", ".", "--world", str(room), "--json", str(tmp_path / "result.json")]) == 0
+    assert json.loads((tmp_path / "result.json").read_text())["policy"] == finished.name
 
 
 def test_a_run_is_evaluated_with_its_own_camera_and_rules(finished, room, tmp_path, capsys):

@@ -179,7 +179,7 @@ def test_a_drive_makes_a_film(run, tmp_path, capsys):
         (["oracle", "--world", "simple_eval", "--speed", "0"], "speed must lie between 0.01 and 100; got 0"),
         (["oracle", "--world", "simple_eval", "--speed", "1e9"], "speed must lie between 0.01 and 100; got 1e+09"),
         (["oracle", "--world", "simple_eval", "--speed", "nan"], "speed must lie between 0.01 and 100; got nan"),
-        (["oracle", "--world", "simple_eval", "--seed", "-1"], "seed must not be negative; got -1"),
+        (["oracle", "--world", "simple_eval", "--seed", "-1"], "seed must lie between 0 and 4294967295; got -1"),
         (["oracle", "--world", "simple_eval", "--start", "9"], 'world "simple_eval" has starts 0 to 4; --start asks'),
         (["pretrained:nonsense", "--world", "simple_eval"], 'no policy "pretrained:nonsense"'),
         (["oracle", "--world", "generate:clutter,count=2"], "one world is wanted here, not 2; leave count out"),

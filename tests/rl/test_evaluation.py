@@ -499,7 +499,7 @@ def test_a_path_without_a_way_survives_json():
 
 
 def test_seeds_are_not_negative():
-    with pytest.raises(ValueError, match="seed must not be negative; got -1"):
+    with pytest.raises(ValueError, match="seed must lie between 0 and 4294967295; got -1"):
         drive(ahead, seed=-1)
 
 

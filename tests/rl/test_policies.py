@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -32,6 +33,18 @@ def run(tmp_path: Path, request: pytest.FixtureRequest) -> Run:
 def observations(count: int) -> TensorDict:
     depth = torch.randint(0, 256, (count, 4, CAMERA.height, CAMERA.width), dtype=torch.uint8)
     return TensorDict({"depth": depth, "heading": torch.linspace(-3.0, 3.0, count).unsqueeze(-1)}, [count])
+
+
+def test_a_robot_whose_camera_sits_to_one_side_is_not_symmetric(tmp_path):
+    config = TrainConfig(
+        model="S", camera=replace(CAMERA, mount_y=0.1), mirror=False, symmetric=False, out=tmp_path / "run"
+    )
+    run = Run.create(config)
+    run.save_policy("policy", make_actor(config).state_dict())
+    assert not load_policy(run.directory, symmetric=False).module[0].module.symmetric
+    for load in (load_policy, lambda directory, **settings: find_policy(str(directory), **settings)):
+        with pytest.raises(RunError, match=r"camera\.mount_y 0\.1.*it cannot be symmetric"):
+            load(run.directory, symmetric=True)
 
 
 def test_the_policy_is_the_one_that_was_saved(run):

@@ -19,13 +19,14 @@ from navsim.draw import OUTCOME_COLOURS
 from navsim.sensor import KINECT
 from navsim.task import Task
 from navsim.world import World
-from navsim.worldfile import save_world
+from navsim.worldfile import load_world, save_world
 from rl.baselines import make_baseline
 from rl.config import TrainConfig
 from rl.evaluation import Evaluation, PathResult, evaluate
 from rl.figures import action_distribution, choose_examples, example_paths, training_curves
 from rl.learner import make_actor
-from rl.report import _evaluations, write_report
+from rl.policies import load_policy
+from rl.report import _depth_stack, _evaluations, write_report
 from rl.run import METRICS, Run, RunError
 
 WORLD = World.from_dict(
@@ -263,6 +264,22 @@ def test_action_bars_are_the_policys_and_marks_the_baselines():
     (axes,) = action_distribution([mine, other]).axes
     assert [bar.get_height() for bar in axes.patches] == [0.5, 0.25, 0, 0, 0, 0, 0.25]
     assert axes.lines[0].get_ydata().tolist() == [0, 0, 0, 0, 1, 0, 0]
+
+
+def test_the_q_values_of_a_robot_with_a_memory_are_those_that_it_acted_by(monkeypatch):
+    policy, acted, drawn = load_policy("pretrained:I"), [], []
+
+    def watched(state):
+        acted.append(policy(state)["action_value"][0].numpy().copy())
+        return state
+
+    watched.in_keys, watched.trained_as = policy.in_keys, policy.trained_as
+    path = evaluate(watched, "complex_eval", num_paths=1).paths[0]
+    monkeypatch.setattr("rl.report.draw_depth_stack", lambda *given, interval: drawn.append(given[3]))
+    steps = range(3, path.steps, 6)
+    for step in steps:
+        _depth_stack(policy, policy.trained_as, load_world("complex_eval"), path, step)
+    np.testing.assert_allclose(drawn, [acted[step] for step in steps], atol=0.005)
 
 
 def test_training_curves_have_a_line_for_training_and_points_for_evaluations(run):
