@@ -321,11 +321,10 @@ class Simulator:
             )
         # States from before they were kept have no such entries.
         missing = {
-            "past_poses": np.repeat(np.asarray(state["physics"]["poses"])[:, None], self._past_poses.shape[1], axis=1),
-            "worlds": self._told_worlds,
+            "past_poses": np.repeat(np.asarray(state["physics"]["poses"])[:, None], self._past_poses.shape[1], axis=1)
         }
         state = {**missing, **state}
-        if state["worlds"] != self._told_worlds:
+        if "worlds" in state and state["worlds"] != self._told_worlds:
             raise ValueError(
                 "the state's robots are in other worlds than this simulator's: create it with the same worlds, in the "
                 "same order"
