@@ -11,7 +11,6 @@ import hashlib
 import itertools
 import json
 import math
-import reprlib
 from collections.abc import Iterable, Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -35,6 +34,7 @@ from navsim.motion_rules import FASTEST
 from navsim.polygon import convex_pieces, crossing_edges, signed_area
 from navsim.prism import Prism, walls_around
 from navsim.rules import broken_rules
+from navsim.wording import EXAMPLES, Wording, shown
 
 FORMAT = 1
 """The version of the world file format that this library reads."""
@@ -334,12 +334,12 @@ class Goal(_Place):
 def _random_or_list(value: object) -> object:
     value = list(value) if isinstance(value, np.ndarray) and value.ndim else value
     if isinstance(value, str) and value != "random":
-        raise ValueError(f"must be 'random' or a list of points, not {_shown(value)}")
+        raise ValueError(f"must be 'random' or a list of points, not {shown(value)}")
     if isinstance(value, (list, tuple)) and not value:
         raise ValueError("is empty; list at least one point such as [0.0, 0.0], or write 'random'")
     if isinstance(value, (list, tuple, str)):
         return value
-    raise ValueError(f"must be 'random' or a list of points such as [[0.0, 0.0]], not {_shown(value)}")
+    raise ValueError(f"must be 'random' or a list of points such as [[0.0, 0.0]], not {shown(value)}")
 
 
 def _list_or_random(value: object) -> str:
@@ -422,7 +422,7 @@ class World(_Settings):
     @classmethod
     def _format_is_known(cls, value: object) -> object:
         if isinstance(value, bool) or value != FORMAT:
-            raise ValueError(f"must be {FORMAT}, the one format that this version reads, not {_shown(value)}")
+            raise ValueError(f"must be {FORMAT}, the one format that this version reads, not {shown(value)}")
         return FORMAT
 
     @field_validator("walls", mode="before")
@@ -430,7 +430,7 @@ class World(_Settings):
     def _none_is_a_word(cls, value: object) -> object:
         if isinstance(value, str):
             if value != "none":
-                raise ValueError(f"must be 'none' or settings such as {_EXAMPLES['walls']}, not {_shown(value)}")
+                raise ValueError(f"must be 'none' or settings such as {EXAMPLES['walls']}, not {shown(value)}")
             return None
         return value
 
@@ -438,7 +438,7 @@ class World(_Settings):
     @classmethod
     def _is_a_list(cls, value: object) -> object:
         if not isinstance(value, (list, tuple)):
-            raise ValueError(f"must be a list with one shape an entry, such as {_EXAMPLES['obstacles']}")
+            raise ValueError(f"must be a list with one shape an entry, such as {EXAMPLES['obstacles']}")
         return value
 
     @field_validator("obstacles")
@@ -553,9 +553,9 @@ class World(_Settings):
             names = list(dict.fromkeys(obstacle.name for obstacle in self.obstacles))
             meant = difflib.get_close_matches(str(name), names, n=1)
             remedy = (
-                f"did you mean {meant[0]!r}?" if meant else f"there are {_shown(names)}" if names else "there are none"
+                f"did you mean {meant[0]!r}?" if meant else f"there are {shown(names)}" if names else "there are none"
             )
-            raise WorldError([f"no obstacle is called {_shown(name)}; {remedy}"])
+            raise WorldError([f"no obstacle is called {shown(name)}; {remedy}"])
         return found
 
     def _repr_png_(self) -> bytes:
@@ -678,18 +678,18 @@ def parse_world(data: object, default_name: str = "world") -> tuple[World | None
         default_name: name of a world that ``data`` does not name.
     """
     if not isinstance(data, Mapping):
-        return None, [Problem((), f"a world is a mapping with keys such as 'format', not {_shown(data)}")]
+        return None, [Problem((), f"a world is a mapping with keys such as 'format', not {shown(data)}")]
     lacking = [] if "format" in data else [{"type": "missing", "loc": ("format",), "input": data}]
     try:
         world = World.model_validate({"name": default_name, **data})
     except ValidationError as error:
         details = error.errors(include_url=False)
     else:
-        return (None, _worded(lacking, data)) if lacking else (world, [])
+        return (None, _WORDING.problems(lacking, data)) if lacking else (world, [])
     broken = details[0].get("ctx", {}).get("error")
     if isinstance(broken, _BrokenRulesError):
-        return None, [*_worded(lacking, data), *broken.problems]
-    problems = _worded([*lacking, *details[:MOST_TOLD]], data)
+        return None, [*_WORDING.problems(lacking, data), *broken.problems]
+    problems = _WORDING.problems([*lacking, *details[:MOST_TOLD]], data)
     if len(details) > MOST_TOLD:
         text = f"{len(details) - MOST_TOLD} more mistakes are not told; put these right first"
         return None, [*problems, Problem(problems[-1].where if problems else (), text)]
@@ -703,10 +703,10 @@ def _sentences(model: type[_Settings], error: ValidationError, settings: Mapping
     if isinstance(broken, _BrokenRulesError):
         return [str(problem) for problem in broken.problems]
     if issubclass(model, World):
-        return [str(problem) for problem in _worded(details, settings)]
+        return [str(problem) for problem in _WORDING.problems(details, settings)]
     name = model.__name__.lower()
     inside = [{**detail, "loc": (name, *detail["loc"])} for detail in details]
-    return [str(problem) for problem in _worded(inside, {name: settings})]
+    return [str(problem) for problem in _WORDING.problems(inside, {name: settings})]
 
 
 def _rules_broken_by_the_rest(data: Mapping[str, Any], problems: list[Problem]) -> list[Problem]:
@@ -763,180 +763,18 @@ def _rounded(data: Any) -> Any:
     return float(f"{data:.9g}") + 0.0 if isinstance(data, float) else data
 
 
-_EXAMPLES = {
-    "format": "1",
-    "size": "[7.0, 7.0]",
-    "box.size": "[0.6, 0.4]",
-    "walls": "{height: 2.0, thickness: 0.1}",
-    "at": "[0.0, 0.0]",
-    "height": "0.5",
-    "radius": "0.2",
-    "points": "[[0, 0], [1, 0], [0.4, 0.8]]",
-    "path": "[[2, 2], [2, -2]]",
-    "speed": "0.5",
-    "hinge": "[1.0, 0.0]",
-    "swing_deg": "[0, 90]",
-    "speed_deg": "45",
-    "mass": "0.35",
-    "obstacles": "'- box: {at: [1.0, -0.5], size: [0.6, 0.4], height: 0.8}'",
-    "box": "{at: [1.0, -0.5], size: [0.6, 0.4], height: 0.8}",
-    "cylinder": "{at: [-1.0, 1.2], radius: 0.15, height: 0.3}",
-    "polygon": "{points: [[0, 0], [1, 0], [0.4, 0.8]], height: 1.0}",
-    "starts": "{at: [0.0, 0.0], yaw_deg: 90} or [0.0, 0.0]",
-    "goals": "[2.0, -2.5]",
-    "motion": "{path: [[2, 2], [2, -2]], speed: 0.5} or {hinge: [1, 0], swing_deg: [0, 90], speed_deg: 45}",
-    "pushable": "{mass: 0.35}",
-    "friction": "0.4",
-}
-"""What may stand after a key, for the remedies of error messages."""
-
-
-def _worded(details: Iterable[Mapping[str, Any]], data: object) -> list[Problem]:
-    """pydantic's errors in the words of somebody who writes world files."""
-    located = [(_path_in(data, detail["loc"]), detail) for detail in details]
-    misspelt = {
-        (*where[:-1], meant)
-        for where, detail in located
-        if detail["type"] == "extra_forbidden"
-        for meant in _nearest(where[-1], _known_keys(where[:-1], detail["loc"]))
-    }
-    return [
-        _word(where, detail)
-        for where, detail in located
-        if detail["type"] != "missing" or (*where, detail["loc"][-1]) not in misspelt
-    ]
-
-
-def _word(where: tuple[str | int, ...], detail: Mapping[str, Any]) -> Problem:
-    kind, value, context = detail["type"], detail["input"], detail.get("ctx", {})
-    shown = _shown(value)
-    example = _EXAMPLES.get(next((str(part) for part in reversed(where) if isinstance(part, str)), ""), "")
-    if kind == "missing":
-        key = detail["loc"][-1]
-        if isinstance(key, int):
-            return Problem(where, f"must be two numbers, not {_shown(value)}")
-        fitting = _EXAMPLES.get(f"{where[-1]}.{key}" if where else key, _EXAMPLES[key])
-        return Problem(where, f"key '{key}' is missing; add '{key}: {fitting}'")
-    if kind == "extra_forbidden":
-        known = _known_keys(where[:-1], detail["loc"])
-        meant = _nearest(where[-1], known)
-        remedy = f"did you mean '{meant[0]}'?" if meant else f"the keys here are {', '.join(known)}"
-        return Problem(where, f"is not a known key; {remedy}", at_key=True)
-    if kind == "union_tag_not_found":
-        return _word_shape(where, value)
-    if kind == "value_error":
-        return Problem(where, str(context["error"]))
-    if kind == "finite_number":
-        return Problem(where, f"must be a finite number, not {shown}")
-    if kind in ("greater_than", "greater_than_equal", "less_than", "less_than_equal"):
-        return Problem(where, f"{_range(kind, context, value)}, not {shown}")
-    if kind == "float_type":
-        return Problem(where, f"must be a number, not {shown}" if not _is_integer(value) else "is too large a number")
-    if kind == "too_long" and context["max_length"] > 2:
-        what = {"points": "corners", "path": "points", "obstacles": "obstacles", "starts": "starts", "goals": "goals"}
-        limit = f"must be at most {context['max_length']} {what[str(where[-1])]}, not {len(value)}"
-        return Problem(where, f"{limit}; {_LESS.get(str(where[-1]), 'leave some of them out')}")
-    if kind == "string_too_long":
-        return Problem(where, f"must be at most {context['max_length']} letters long, not {len(value)}; shorten it")
-    if kind in ("tuple_type", "too_short", "too_long"):
-        fewest = {"points": "a list of three points or more", "path": "a list of two points or more"}
-        if where[-1] in fewest:
-            return Problem(where, f"must be {fewest[str(where[-1])]}, such as {example}, not {shown}")
-        return Problem(where, f"must be two numbers, such as [1.0, 2.0], not {shown}")
-    if kind == "invalid_key":
-        return Problem(where[:-1] if where and where[-1] == value else where, f"a key must be a word, not {shown}")
-    if kind in ("string_type", "string_unicode"):
-        return Problem(where, f"must be text, not {shown}; put it in quotes")
-    if kind == "string_too_short":
-        return Problem(where, "is empty; write a name or leave the key out")
-    if kind == "literal_error":
-        return Problem(where, f"must be {context['expected']}, not {shown}")
-    return Problem(where, f"must be settings such as {example}, not {shown}")
-
-
-_LESS = {
-    "points": "leave out those that matter least, or cut the polygon into several",
-    "obstacles": "split the world into several",
-}
-"""What to do about a list that is too long."""
-
-
-def _word_shape(where: tuple[str | int, ...], entry: object) -> Problem:
-    """What is wrong with an entry of ``obstacles`` that is not one shape."""
-    if not isinstance(entry, Mapping) or not entry:
-        return Problem(where, f"must be a shape such as {_EXAMPLES['obstacles']}, not {_shown(entry)}")
-    shapes = [key for key in entry if key in _SHAPES]
-    if len(shapes) > 1:
-        return Problem(
-            where, f"holds {' and '.join(map(repr, shapes))}; give each shape a list entry ('- ') of its own"
-        )
-    if shapes:
-        remedy = f"indent them below it, as in '{shapes[0]}: {_EXAMPLES[shapes[0]]}'"
-        return Problem(where, f"has keys beside '{shapes[0]}'; {remedy}")
-    key = next(iter(entry))
-    meant = _nearest(key, list(_SHAPES))
-    remedy = f"did you mean '{meant[0]}'?" if meant else f"write one of them first, as in {_EXAMPLES['obstacles']}"
-    return Problem((*where, key), f"is not a shape (box, cylinder, polygon); {remedy}", at_key=True)
-
-
-def _range(kind: str, context: Mapping[str, Any], value: float) -> str:
-    if kind == "less_than_equal":
-        return f"must be at most {context['le']:g}"
-    if kind == "greater_than":
-        return f"must be greater than {context['gt']:g}"
-    if context["ge"] == SMALLEST_LENGTH:
-        return "must be greater than 0" if value <= 0.0 else f"must be at least {SMALLEST_LENGTH:g}"
-    return f"must be at least {context['ge']:g}"
-
-
-def _path_in(data: object, location: tuple[str | int, ...]) -> tuple[str | int, ...]:
-    """The part of pydantic's ``location`` that names keys and positions of ``data`` itself."""
-    where: list[str | int] = []
-    for part in location:
-        keys: Any = data if isinstance(data, Mapping) else range(len(data)) if isinstance(data, (list, tuple)) else ()
-        if part in keys:
-            data = data[part]  # type: ignore[index]
-            where.append(part)
-    return tuple(where)
-
-
-def _known_keys(where: tuple[str | int, ...], location: tuple[str | int, ...] = ()) -> list[str]:
-    """The keys of the mapping at ``where``; pydantic's ``location`` tells one kind of motion from the other."""
-    models: dict[str, type[BaseModel]] = {
-        "box": Box,
-        "cylinder": Cylinder,
-        "polygon": Polygon,
+_WORDING = Wording(
+    {
+        "": World,
+        **_SHAPES,
         "walls": Walls,
         "starts": Start,
         "start": Start,
         "goals": Goal,
         "goal": Goal,
         "swing": Swing,
-        "motion": Swing if "a swing" in location else Motion,
+        "motion": Motion,
         "pushable": Pushable,
-    }
-    name = next((part for part in reversed(where) if isinstance(part, str)), "")
-    return list(models.get(name, World).model_fields)
-
-
-def _nearest(key: object, known: list[str]) -> list[str]:
-    """The known key that ``key`` probably stands for: a list of one, or an empty one."""
-    return difflib.get_close_matches(str(key).lower(), known, n=1, cutoff=0.6)
-
-
-def _is_integer(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
-
-
-def _shown(value: object) -> str:
-    """``value`` as it reads in a message: short, and on one line."""
-    if value is None:
-        return "nothing"
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return _REPR.repr(value)
-
-
-_REPR = reprlib.Repr()
-_REPR.maxdict, _REPR.maxlist, _REPR.maxtuple, _REPR.maxlevel = 3, 4, 4, 3
-_REPR.maxstring, _REPR.maxlong, _REPR.maxother = 40, 24, 40
+    },
+    list(_SHAPES),
+)

@@ -8,8 +8,9 @@ if TYPE_CHECKING:
     from rl.collect import make_env
     from rl.config import PRESETS, TrainConfig
     from rl.env import NavEnv
-    from rl.evaluation import Evaluation, evaluate
+    from rl.evaluation import evaluate
     from rl.loss import D3QNLoss
+    from rl.metrics import Evaluation
     from rl.networks import make_q_actor, symmetric_policy
     from rl.pilot import Pilot
     from rl.policies import load_policy
@@ -36,7 +37,7 @@ __all__ = [
 _MODULES = {
     "PRESETS": "rl.config",
     "D3QNLoss": "rl.loss",
-    "Evaluation": "rl.evaluation",
+    "Evaluation": "rl.metrics",
     "NavEnv": "rl.env",
     "Pilot": "rl.pilot",
     "RunError": "rl.run",

@@ -26,7 +26,8 @@ from navsim.draw import INK, QUIET_INK, new_figure, save_figure
 from navsim.files import atomic_write
 from navsim.task import Task
 from rl.config import DEFAULT_PRESET, PRESETS, TrainConfig
-from rl.evaluation import Evaluation, evaluate_as_trained
+from rl.evaluation import evaluate_as_trained
+from rl.metrics import Evaluation
 from rl.policies import load_policy
 from rl.run import Run
 from rl.series import Planned, run_series

@@ -185,7 +185,8 @@ def evaluate(
     """
     from navsim.randomization import Randomization
     from navsim.sensor import SensorModel
-    from rl.evaluation import comparison_table, evaluate_as_trained
+    from rl.evaluation import evaluate_as_trained
+    from rl.metrics import comparison_table
     from rl.policies import find_policy
 
     console = Console()

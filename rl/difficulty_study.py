@@ -25,7 +25,8 @@ from navsim.draw import INK, QUIET_INK, new_figure, save_figure
 from navsim.files import atomic_write
 from navsim.generate import KINDS, RoomSettings
 from rl.baselines import make_baseline
-from rl.evaluation import evaluate, wilson_interval
+from rl.evaluation import evaluate
+from rl.metrics import wilson_interval
 
 DENSITIES = {
     "clutter": (0.05, 0.11, 0.2),

@@ -17,8 +17,10 @@ from navsim.robot import NUM_ACTIONS
 from navsim.sensor import SensorModel
 from navsim.world import Goal, Start
 from navsim.worldsource import WorldSource, world_from
+from rl.acting import answered, of_policy
 from rl.config import TrainConfig
-from rl.evaluation import PathResult, Planner, Policy, answered, evaluate_as_trained, of_policy
+from rl.evaluation import Planner, Policy, evaluate_as_trained
+from rl.metrics import PathResult
 from rl.policies import find_policy
 from rl.surroundings import REACH
 

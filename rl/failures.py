@@ -22,8 +22,9 @@ from navsim.task import Task
 from navsim.world import World
 from navsim.worldsource import worlds_from
 from rl.config import TrainConfig
-from rl.evaluation import Evaluation, PathResult, evaluate_as_trained
+from rl.evaluation import evaluate_as_trained
 from rl.figures import describe
+from rl.metrics import Evaluation, PathResult
 from rl.observation import NUM_FRAMES
 from rl.policies import find_policy
 

@@ -24,7 +24,7 @@ from navsim.draw import (
 )
 from navsim.task import Task
 from navsim.world import World
-from rl.evaluation import OUTCOMES, Evaluation, PathResult
+from rl.metrics import OUTCOMES, Evaluation, PathResult
 
 _MARKERS = ("o", "D", "^", "s", "v", "P", "X")
 

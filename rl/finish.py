@@ -14,7 +14,9 @@ from torchrl.modules import QValueActor
 
 from navsim.worldsource import worlds_from
 from rl.baselines import BASELINES, Baseline, make_baseline
-from rl.evaluation import comparison_table, evaluate_as_trained, few_paths
+from rl.evaluation import evaluate_as_trained
+from rl.metrics import comparison_table
+from rl.paths import few_paths
 from rl.policies import load_policy
 from rl.report import LAST_WEIGHTS, write_report
 from rl.run import Run

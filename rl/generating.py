@@ -18,7 +18,8 @@ from navsim.generate import RoomSettings, floor_covered, write_rooms
 from navsim.overview import save_overview
 from navsim.world import World
 from rl.baselines import OraclePolicy
-from rl.evaluation import Evaluation, evaluate
+from rl.evaluation import evaluate
+from rl.metrics import Evaluation
 
 MOST_ROWS = 24
 """Rooms that are listed one by one."""

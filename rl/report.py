@@ -29,7 +29,6 @@ from navsim.world import World
 from navsim.worldsource import TRAINING_SEED, have_rooms_in_common, short_name, worlds_from
 from rl.baselines import BASELINES
 from rl.config import TrainConfig
-from rl.evaluation import OUTCOMES, Evaluation, PathResult
 from rl.figures import (
     action_distribution,
     all_paths,
@@ -38,6 +37,7 @@ from rl.figures import (
     example_paths,
     training_curves,
 )
+from rl.metrics import OUTCOMES, Evaluation, PathResult
 from rl.observation import NUM_FRAMES, history_length
 from rl.policies import load_policy
 from rl.run import Run, RunError

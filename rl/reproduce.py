@@ -28,8 +28,9 @@ from navsim.files import atomic_write
 from navsim.raycast import render_depth
 from navsim.worldfile import load_world
 from rl.config import PRESETS, Model, TrainConfig
-from rl.evaluation import Evaluation, evaluate
+from rl.evaluation import evaluate
 from rl.figures import choose_examples, example_paths
+from rl.metrics import Evaluation
 from rl.observation import NUM_FRAMES
 from rl.policies import load_policy
 from rl.run import Run, Table

@@ -19,7 +19,8 @@ from navsim.worldsource import TRAINING_SEED, have_rooms_in_common, worlds_from
 from rl.ablations import UNSEEN_PATHS, UNSEEN_ROOMS, arguments_of
 from rl.baselines import make_baseline
 from rl.config import TrainConfig
-from rl.evaluation import Evaluation, evaluate_as_trained
+from rl.evaluation import evaluate_as_trained
+from rl.metrics import Evaluation
 from rl.pretrained import pack_policy, read_policy
 from rl.run import Run, RunError
 

@@ -31,12 +31,14 @@ from rl.checkpoints import Checkpoints, StateFile, step_of
 from rl.collect import ResumableCollector, explorer, make_collector, make_env
 from rl.config import TrainConfig
 from rl.env import NavEnv
-from rl.evaluation import Evaluation, evaluate_as_trained, few_paths
+from rl.evaluation import evaluate_as_trained
 from rl.feasibility import check_feasible
 from rl.learner import Learner
 from rl.memory import keep_freed_memory
+from rl.metrics import Evaluation
 from rl.number_format import fastest_number_format
 from rl.observation import keys_of
+from rl.paths import few_paths
 from rl.progress import Clock, TrainingProgress, progress_bar
 from rl.replay import make_replay
 from rl.run import Run, settings_of, writing

@@ -26,7 +26,8 @@ from navsim.sensor import SensorModel
 from navsim.task import Task
 from rl.cli import _training_settings, main
 from rl.config import PRESETS, ConfigError, TrainConfig
-from rl.evaluation import Evaluation, evaluate_as_trained
+from rl.evaluation import evaluate_as_trained
+from rl.metrics import Evaluation
 from rl.policies import load_policy
 from rl.run import Run, RunError
 

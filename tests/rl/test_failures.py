@@ -15,8 +15,9 @@ from navsim.robot import Robot
 from navsim.task import Task
 from navsim.world import World
 from navsim.worldfile import save_world
-from rl.evaluation import PathResult, evaluate
+from rl.evaluation import evaluate
 from rl.failures import KINDS, _in_view, draw_failures, explain, write_failures
+from rl.metrics import PathResult
 
 CAMERA = DepthCamera()
 LEFT, STRAIGHT = 2, 4

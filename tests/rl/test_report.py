@@ -22,9 +22,10 @@ from navsim.world import World
 from navsim.worldfile import load_world, save_world
 from rl.baselines import make_baseline
 from rl.config import TrainConfig
-from rl.evaluation import Evaluation, PathResult, evaluate
+from rl.evaluation import evaluate
 from rl.figures import action_distribution, choose_examples, example_paths, training_curves
 from rl.learner import make_actor
+from rl.metrics import Evaluation, PathResult
 from rl.policies import load_policy
 from rl.report import _depth_stack, _evaluations, write_report
 from rl.run import METRICS, Run, RunError

@@ -12,7 +12,7 @@ import rl.reproduce
 from navsim.raycast import render_depth
 from navsim.worldfile import load_world
 from rl.config import PRESETS
-from rl.evaluation import Evaluation, PathResult
+from rl.metrics import Evaluation, PathResult
 from rl.reproduce import HEADINGS, Cell, cells, reproduce, tables, write_up
 
 QUIET = Console(quiet=True)
