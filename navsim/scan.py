@@ -5,11 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from navsim.camera import DepthCamera
+from navsim.robot import TURTLEBOT2, Robot
 
 FLOOR_TOLERANCE = 0.03
 """Metres above the floor below which a pixel counts as floor: more than one ``uint8`` count at any range."""
-CLEAR_HEIGHT = 0.48
-"""Metres above which a pixel is out of the way: above the robot, and above all that the camera sees within 0.4 m."""
+_CLEARANCE = 0.06
+"""Metres above a robot from which on things are out of its way."""
+
+
+def clear_height(robot: Robot) -> float:
+    """Metres above which a pixel is out of the way: of the TurtleBot above all that its camera sees within 0.4 m.
+
+    >>> clear_height(TURTLEBOT2)
+    0.48
+    """
+    return robot.height + _CLEARANCE
 
 
 def metres(depth: np.ndarray, camera: DepthCamera) -> np.ndarray:
@@ -29,7 +39,7 @@ def obstacle_depth(
     camera: DepthCamera,
     *,
     low: float = FLOOR_TOLERANCE,
-    high: float = CLEAR_HEIGHT,
+    high: float = clear_height(TURTLEBOT2),
     lossy: bool = False,
 ) -> np.ndarray:
     """Least planar depth of each column over the pixels that show something between two heights.

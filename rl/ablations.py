@@ -8,7 +8,6 @@ Finished runs are skipped, and interrupted ones go on, so that rows can be added
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 import shlex
 import statistics
@@ -30,7 +29,7 @@ from rl.evaluation import evaluate_as_trained
 from rl.metrics import Evaluation
 from rl.policies import load_policy
 from rl.run import Run
-from rl.series import Planned, run_series
+from rl.series import Planned, read_results, run_series
 
 DENSITY = 0.11
 """Share of the floor under obstacles in generated rooms, as in ``complex_eval``."""
@@ -54,8 +53,9 @@ of the last evaluation in `complex_eval` within {EQUAL_MINUTES} minutes of proce
 had ended; else its learning rate had not come down yet. Evaluations on the way differ from those of the last weights by
 chance: they draw other yaws; of symmetric policies some are of the network alone (measurements.md). Minutes compare
 within one machine and number format only, which stand with the commands; where a row has several, the least and the
-most are given. `scripts/ablations.py` trains, evaluates and writes this page, and the JSON behind it in
-[{{results}}]({{results}}).
+most are given; the curves' minutes are of the runs on the one machine that most of a row's were made on. Rows of three
+seeds or more have colours there. `scripts/ablations.py` trains, evaluates and writes this page, and the JSON behind it
+in [{{results}}]({{results}}).
 """
 
 
@@ -71,6 +71,10 @@ BASE: dict[str, Any] = {"num_threads": 1, "report": False}
 _TWICE_AS_LONG = {"total_steps": 200_000, "eval_interval": 25_000}
 _THRICE_AS_LONG = {"total_steps": 300_000, "eval_interval": 25_000}  # of preset fast
 _PLAIN_LENGTH = {**_TWICE_AS_LONG, "steps_per_update": 8.0, "epsilon_steps": 25_000}
+_SEEDS_TO_BE_NAMED = 3
+"""That a row needs to have a colour of its own among the curves."""
+_STYLES = [(dashes, colour) for dashes in ("-", "--", ":") for colour in map(matplotlib.colormaps["tab10"], range(10))]
+"""Lines that are told apart."""
 _ALONE: dict[str, Any] = {"symmetric": False}
 _PLAIN_RETURNS: dict[str, Any] = {"n_step": 5, "epsilon_end": 0.3}
 _PLAIN_ROOMS: dict[str, Any] = {"margin": 0.0, **_rooms()}
@@ -331,7 +335,7 @@ def _option(flag: str, value: Any) -> list[str]:
 
 def write_page(results: Path, page: Path) -> None:
     """Writes the table, as Markdown, and the figure of all runs that are finished."""
-    found = [json.loads(file.read_text(encoding="utf-8")) for file in sorted(results.glob("*-seed*.json"))]
+    found = [read_results(file, "row", "seed", "final", "curve") for file in sorted(results.glob("*-seed*.json"))]
     finished = [one for one in found if one["row"] in ROWS]  # results may be of rows that there are no more
     if not finished:
         return
@@ -434,18 +438,30 @@ def _success_at(one: dict[str, Any], seconds: float) -> float | None:
 
 
 def curves(finished: Sequence[dict[str, Any]]) -> Figure:
-    """Success in ``complex_eval`` by samples and by processor time: each row's mean, the base in black."""
-    figure = new_figure(11.0, 5.0)
+    """Success in ``complex_eval`` by samples and by processor time: the mean of each row that has enough seeds.
+
+    Rows of fewer seeds are in grey. Minutes are of the runs on that machine, in that number format, which has most.
+    """
+    figure = new_figure(11.0, 5.6)
     by_steps, by_minutes = figure.subplots(1, 2, sharey=True)
     rows = _by_row(finished)
-    colours = dict(zip(rows, _colours(len(rows)), strict=True))
+    named = [name for name, runs in rows.items() if len(runs) >= _SEEDS_TO_BE_NAMED and name != "base"]
+    styles: dict[str, dict[str, Any]] = {
+        name: {"color": colour, "ls": dashes} for name, (dashes, colour) in zip(named, _STYLES, strict=False)
+    }
+    styles["base"] = {"color": INK, "lw": 2.2, "zorder": 3}
     for name, runs in rows.items():
-        length = min(len(one["curve"]["step"]) for one in runs)
-        success = 100 * np.mean([one["curve"]["success_rate"][:length] for one in runs], axis=0)
-        style = {"color": INK, "lw": 2.2, "zorder": 3} if name == "base" else {"color": colours[name], "lw": 1.2}
-        for axes, key, unit in ((by_steps, "step", 1.0), (by_minutes, "processor_seconds", 60.0)):
-            at = np.mean([one["curve"][key][:length] for one in runs], axis=0) / unit
-            axes.plot(at, success, marker="o", ms=2.5, label=f"{name} ({len(runs)})", **style)
+        style = {"lw": 1.3, **styles[name]} if name in styles else {"color": "#c9ced4", "lw": 0.8, "zorder": 1}
+        label = f"{name} ({len(runs)})" if name in styles else None
+        for axes, drawn, key, unit in (
+            (by_steps, runs, "step", 1.0),
+            (by_minutes, _comparable(runs), "processor_seconds", 60.0),
+        ):
+            length = min(len(one["curve"]["step"]) for one in drawn)
+            success = 100 * np.mean([one["curve"]["success_rate"][:length] for one in drawn], axis=0)
+            at = np.mean([one["curve"][key][:length] for one in drawn], axis=0) / unit
+            axes.plot(at, success, marker="o", ms=2.5 if name in styles else 1.5, label=label, **style)
+    by_minutes.plot([], [], color="#c9ced4", lw=0.8, label="rows of fewer seeds")
     for axes, label in ((by_steps, "environment steps"), (by_minutes, "minutes of processor time")):
         axes.set_xlabel(label, fontsize=9, color=QUIET_INK)
         axes.tick_params(labelsize=8, colors=QUIET_INK)
@@ -459,5 +475,11 @@ def curves(finished: Sequence[dict[str, Any]]) -> Figure:
     return figure
 
 
-def _colours(count: int) -> list[Any]:
-    return list(matplotlib.colormaps["turbo"](np.linspace(0.05, 0.95, count)))
+def _comparable(runs: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Those on the machine, in the number format, that most were made with; the quicker ones of as many."""
+    groups: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for one in runs:
+        groups.setdefault((one["machine"], _number_format(one)), []).append(one)
+    return max(
+        groups.values(), key=lambda group: (len(group), -min(one["curve"]["processor_seconds"][-1] for one in group))
+    )

@@ -12,8 +12,8 @@ from tensordict.nn import TensorDictModuleBase
 
 from navsim.camera import DepthCamera
 from navsim.oracle import Oracle
-from navsim.robot import ACTIONS, NUM_ACTIONS, Robot, apply_actions, wrap_angle
-from navsim.scan import obstacle_depth, scan_points
+from navsim.robot import ACTIONS, NUM_ACTIONS, TURTLEBOT2, Robot, apply_actions, wrap_angle
+from navsim.scan import clear_height, obstacle_depth, scan_points
 from navsim.sensor import SensorModel
 from navsim.task import Task
 from navsim.world import World
@@ -130,6 +130,7 @@ class ReactivePolicy(_Driver):
 
     Args:
         camera: whose images they are; by default the Kinect, at whatever size the images have.
+        robot: that drives.
         lossy: whether its sensor loses returns, so that a pixel without one is no obstacle.
     """
 
@@ -137,8 +138,8 @@ class ReactivePolicy(_Driver):
 
     _LOOK_AHEAD = 0.4
     """Seconds: distances are judged from where the robot will be by then, as actions come in one at a time."""
-    _HALF_WIDTH = 0.27
-    """Of a corridor, metres: the robot's radius and 9 cm to spare."""
+    _SPARE = 0.0945
+    """Metres on either side of the robot in a corridor."""
     _FREE = 0.5
     """Corridors that stay free this far are as good as endless, metres."""
     _NEEDED = 0.6
@@ -162,9 +163,10 @@ class ReactivePolicy(_Driver):
 
     _DIRECTIONS = np.deg2rad(np.arange(-135.0, 136.0, 5.0))
 
-    def __init__(self, camera: DepthCamera | None = None, *, lossy: bool = False) -> None:
+    def __init__(self, camera: DepthCamera | None = None, *, robot: Robot = TURTLEBOT2, lossy: bool = False) -> None:
         super().__init__()
         self._camera, self._lossy = camera, lossy
+        self._clear_height, self._half_width = clear_height(robot), robot.radius + self._SPARE
 
     def _wanted(
         self, tensordict: TensorDictBase, headings: np.ndarray, commands: np.ndarray
@@ -177,12 +179,12 @@ class ReactivePolicy(_Driver):
                 f"{images.shape[2]}x{images.shape[1]}: give make_baseline the camera that they come from"
             )
         last = _remembered(tensordict, "direction", headings)
-        scan = obstacle_depth(images, camera, lossy=self._lossy)
+        scan = obstacle_depth(images, camera, high=self._clear_height, lossy=self._lossy)
         free = self._free_distances(scan, camera, commands)
         directions, free_there = self._choose(free, headings, last)
 
-        left, right = np.split(scan - (self._LOOK_AHEAD * commands[:, 0])[:, None], 2, axis=1)
-        left, right = left.min(axis=1), right.min(axis=1)
+        nearer, half = scan - (self._LOOK_AHEAD * commands[:, 0])[:, None], (camera.width + 1) // 2
+        left, right = nearer[:, :half].min(axis=1), nearer[:, -half:].min(axis=1)  # of an odd width, the middle in both
         evades = np.minimum(left, right) < self._NEAR
         side = np.where(left == right, directions, left - right)
         side = np.where(side < 0.0, -1.0, 1.0)
@@ -204,8 +206,8 @@ class ReactivePolicy(_Driver):
         forward = np.stack([np.cos(self._DIRECTIONS), np.sin(self._DIRECTIONS)]).astype(np.float32)
         leftward = np.stack([-forward[1], forward[0]])
         along, across = points @ forward, points @ leftward  # (N, W, D)
-        met = (along > 0.0) & (np.abs(across) < self._HALF_WIDTH)
-        return np.where(met, along, _FAR).min(axis=1) - self._HALF_WIDTH
+        met = (along > 0.0) & (np.abs(across) < self._half_width)
+        return np.where(met, along, _FAR).min(axis=1) - self._half_width
 
     def _choose(self, free: np.ndarray, headings: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The directions that cost least, ``(N,)`` radians, and the free distances there, ``(N,)`` metres."""
@@ -250,18 +252,20 @@ class OraclePolicy:
 
 Baseline = RandomPolicy | StraightPolicy | ReactivePolicy | OraclePolicy
 
-_MAKERS: dict[str, Callable[[DepthCamera | None, SensorModel], Baseline]] = {
-    "random": lambda camera, sensor: RandomPolicy(),
-    "straight": lambda camera, sensor: StraightPolicy(),
-    "reactive": lambda camera, sensor: ReactivePolicy(camera, lossy=sensor.loses_returns),
-    "oracle": lambda camera, sensor: OraclePolicy(),
+_MAKERS: dict[str, Callable[[DepthCamera | None, SensorModel, Robot], Baseline]] = {
+    "random": lambda camera, sensor, robot: RandomPolicy(),
+    "straight": lambda camera, sensor, robot: StraightPolicy(),
+    "reactive": lambda camera, sensor, robot: ReactivePolicy(camera, robot=robot, lossy=sensor.loses_returns),
+    "oracle": lambda camera, sensor, robot: OraclePolicy(),
 }
 
 BASELINES = tuple(_MAKERS)
 """Names that :func:`make_baseline` knows."""
 
 
-def make_baseline(name: str, camera: DepthCamera | None = None, sensor: SensorModel | None = None) -> Baseline:
+def make_baseline(
+    name: str, camera: DepthCamera | None = None, sensor: SensorModel | None = None, robot: Robot = TURTLEBOT2
+) -> Baseline:
     """A policy to compare with, to be evaluated with ``rl.evaluate``.
 
     All but the oracle are TensorDictModules, which work in TorchRL's collectors as well.
@@ -270,10 +274,11 @@ def make_baseline(name: str, camera: DepthCamera | None = None, sensor: SensorMo
         name: one of ``BASELINES``.
         camera: whose images it will see; by default the Kinect, at whatever size the images have.
         sensor: what it will see them through; by default an ideal one.
+        robot: that it will drive.
 
     Raises:
         ValueError: for another name.
     """
     if name not in _MAKERS:
         raise ValueError(f'there is no baseline "{name}"; there are {", ".join(BASELINES)}')
-    return _MAKERS[name](camera, sensor or SensorModel())
+    return _MAKERS[name](camera, sensor or SensorModel(), robot)

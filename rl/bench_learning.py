@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import statistics
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,12 +12,12 @@ from rich.console import Console
 from rich.table import Table
 
 from rl.ablations import COMPLEX, UNSEEN, rates_in_places
-from rl.config import DEFAULT_PRESET, PRESETS
+from rl.config import DEFAULT_PRESET, PRESETS, ConfigError
 from rl.loss import fastest_autocast
 from rl.number_format import FORMATS, NumberFormat
 from rl.policies import load_policy
 from rl.run import Run
-from rl.series import Planned, SeriesError, run_series
+from rl.series import Planned, SeriesError, read_results, run_series
 from rl.subnormals import subnormals_are_zero
 
 Collector = Literal["sync", "async"]
@@ -69,11 +68,11 @@ def run(
         what the files hold: setting, seed, the successes in training and of the last weights, minutes, machine.
 
     Raises:
-        ValueError: for results of another length that lie where a run's are to go.
+        ValueError: for settings that cannot be used, and for results of another length where a run's are to go.
         SeriesError: at the end, if runs could not be finished.
     """
     planned = []
-    for seed in seeds:
+    for seed in dict.fromkeys(seeds):
         for setting in matrix(collectors, formats):
             name = f"{setting.collector}-{setting.number_format}-seed{seed}"
             changes = {
@@ -87,18 +86,22 @@ def run(
                 "out": runs / name,
                 **settings,
             }
+            try:
+                config = dataclasses.replace(PRESETS[DEFAULT_PRESET], **changes)
+            except ConfigError as error:
+                raise ValueError(str(error).replace("--total-steps", "--steps")) from error  # as it is called here
             planned.append(
                 Planned(
                     name=name,
                     what=f"{setting.collector} collector, {setting.number_format}, {steps:,} steps",
                     labels={**setting._asdict(), "seed": seed},
-                    config=dataclasses.replace(PRESETS[DEFAULT_PRESET], **changes),
+                    config=config,
                     results=results / f"{name}.json",
                 )
             )
 
     def show() -> list[dict[str, Any]]:
-        finished = [json.loads(one.results.read_text(encoding="utf-8")) for one in planned if one.results.exists()]
+        finished = [read_results(one.results, "final", "curve") for one in planned if one.results.exists()]
         if finished:
             console.print(_table(finished, steps))
         return finished

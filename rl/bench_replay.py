@@ -110,6 +110,8 @@ def run(console: Console, *, peers: bool = False, capacity: int = 50_000) -> lis
     """
     if capacity < _ENVS * _STEPS:
         raise ValueError(f"--capacity must be at least {_ENVS * _STEPS}, one batch; got {capacity}")
+    if peers:
+        _stable_baselines_buffer()  # before anything is measured that its absence would throw away
     keep_freed_memory()
     torch.set_num_threads(1)
     measured = []
@@ -203,14 +205,20 @@ def _cat_frames(capacity: int, height: int, width: int) -> _Contestant:
     return _Contestant(name, extend, replay.sample, lambda: replay.storage.get(slice(None)).bytes())
 
 
-def _stable_baselines(capacity: int, height: int, width: int) -> _Contestant:
-    """Stable-Baselines3"""
+def _stable_baselines_buffer() -> Any:
     try:
-        import gymnasium
         from stable_baselines3.common.buffers import ReplayBuffer as StableBaselinesBuffer
     except ImportError as error:
         raise ValueError(f"--peers needs stable-baselines3: pip install 'navsim-rl[peers]' ({error})") from error
-    replay = StableBaselinesBuffer(
+    return StableBaselinesBuffer
+
+
+def _stable_baselines(capacity: int, height: int, width: int) -> _Contestant:
+    """Stable-Baselines3"""
+    buffer = _stable_baselines_buffer()
+    import gymnasium  # which it comes with
+
+    replay = buffer(
         capacity // _ENVS * _ENVS,
         gymnasium.spaces.Box(0, 255, (NUM_FRAMES, height, width), np.uint8),
         gymnasium.spaces.Discrete(7),

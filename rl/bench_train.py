@@ -20,11 +20,16 @@ from rich.table import Table
 
 from navsim.processes import map_in_processes
 from rl.config import PRESETS, TrainConfig
-from rl.run import processor, versions, write_json
+from rl.run import differing_settings, processor, settings_of, versions, write_json
 
 THESIS_STEPS = 400_000
 Kind = Literal["sync", "async"]
 _SAMPLE_SECONDS = 1.0
+_SPEED_DEPENDS_ON = {
+    "processor": "on another machine",
+    **{name: f"with another {name}" for name in ("torch", "torchrl", "tensordict", "numpy")},
+}
+_MEASURED = ("seconds", "steady_steps_per_second", "thesis_seconds", "peak_megabytes")
 PARTS = ("collect", "wait", "replay", "update", "target network", "hand over", "evaluate", "checkpoint", "the rest")
 
 
@@ -71,15 +76,22 @@ def run(
         what the file holds.
 
     Raises:
-        ValueError: for fewer steps than 512, and a file that holds something else, or another machine's results.
+        ValueError: for fewer steps than 512, and a file that cannot be written, or holds something else: another
+            machine's results, say, or those of other settings or versions of libraries.
         navsim.processes.WorkerDeathError: if the process that trains is killed.
     """
     if steps < 512:
         raise ValueError(f"--steps must be at least 512, to have a rate at the end; got {steps}")
+    keys = {kind: f"{'exact' if exact else 'batch64'}-{kind}-{steps}" for kind in collectors}
     results = _read(out)
-    results["versions"] = versions()
-    for kind in collectors:
-        key = f"{'exact' if exact else 'batch64'}-{kind}-{steps}"
+    for kind, key in keys.items():
+        if key in results["runs"]:
+            _check(results["runs"][key], settings(kind, steps=steps, exact=exact, out=Path()), out)
+    try:
+        write_json(out, results)  # now, what is in its way costs no training
+    except OSError as error:
+        raise ValueError(f"{out} cannot be written ({error.strerror}); choose another file (--out)") from error
+    for kind, key in keys.items():
         if key not in results["runs"]:
             with console.status(f"training with the {kind} collector, {steps:,} steps"):
                 (results["runs"][key],) = map_in_processes(
@@ -89,7 +101,7 @@ def run(
                     remedy="run the command again: what is in its file is not measured anew",
                 )
             write_json(out, results)
-    rows = {kind: results["runs"][f"{'exact' if exact else 'batch64'}-{kind}-{steps}"] for kind in collectors}
+    rows = {kind: results["runs"][key] for kind, key in keys.items()}
     console.print(f"[bold]{steps:,} steps, {'batches of 8' if exact else 'batches of 64'}[/bold], {processor()}")
     console.print(_table(rows))
     if len(rows) == 2:
@@ -99,18 +111,37 @@ def run(
 
 
 def _read(path: Path) -> dict[str, Any]:
+    present = versions()
     if not path.exists():
-        return {"runs": {}}
+        return {"runs": {}, "versions": present}
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
         if not isinstance(found["runs"], dict):
             raise TypeError("runs")
-        machine = found["versions"]["processor"]
-    except (ValueError, KeyError, TypeError) as error:
+        of_file = {name: found["versions"].get(name, "unknown") for name in _SPEED_DEPENDS_ON}
+    except (AttributeError, OSError, ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{path} does not hold results of this benchmark; choose another file (--out)") from error
-    if machine != processor():
-        raise ValueError(f"{path} holds what was measured on another machine, {machine}; choose another file (--out)")
+    for name, what in _SPEED_DEPENDS_ON.items():
+        if of_file[name] != present[name]:
+            raise ValueError(
+                f"{path} holds what was measured {what}, {of_file[name]}, not {present[name]}; choose another file "
+                "(--out)"
+            )
     return found
+
+
+def _check(measured: Any, wanted: TrainConfig, path: Path) -> None:
+    """That an entry of the file is of these settings, and whole."""
+    try:
+        others = differing_settings(measured["settings"], settings_of(wanted))
+        _ = [float(measured[key]) for key in _MEASURED], [float(part) for part in measured["parts"].values()]
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} does not hold results of this benchmark; choose another file (--out)") from error
+    if others:
+        raise ValueError(
+            f"{path} has the results of other settings than this benchmark's ({', '.join(others)}); choose another "
+            "file (--out)"
+        )
 
 
 def measure(kind: Kind, steps: int, exact: bool) -> dict[str, Any]:

@@ -17,12 +17,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TextIO, TypeVar, get_
 
 import tyro
 from docstring_parser import parse_from_object
-from rich.console import Console
 from tyro.conf import DisallowNone, FlagCreatePairsOff, OmitArgPrefixes, Positional, PositionalMetavarFromFieldName, arg
 from tyro.extras import SubcommandApp
 
 from rl.cli_world import world_commands
-from rl.console import busy
+from rl.console import LastingOutput, Output, busy
 
 if TYPE_CHECKING:
     from rl.config import TrainConfig
@@ -137,7 +136,7 @@ def train(*arguments: str) -> None:
     from rl.train import train
     from rl.watch import NumbersError
 
-    console = Console()
+    console = LastingOutput()
     again = shlex.join(["navsim", "train", "--resume", "--out", str(config.directory)])
     try:
         run = train(config, resume=resume, console=console)
@@ -189,7 +188,7 @@ def evaluate(
     from rl.metrics import comparison_table
     from rl.policies import find_policy
 
-    console = Console()
+    console = Output()
     if json is not None and json.is_dir():
         raise ValueError(f"{json} is a directory; --json names the file to write, such as {json / 'evaluation.json'}")
     policy, config = find_policy(run, weights=weights, symmetric=None if symmetric is None else symmetric == "yes")
@@ -208,9 +207,10 @@ def evaluate(
         num_paths=num_paths,
         console=console,
     )
+    if json is not None:
+        result.save(json)  # first: nobody may read the table any more
     console.print(comparison_table([result]))
     if json is not None:
-        result.save(json)
         console.print(f"written to {json}", markup=False)
 
 
@@ -289,7 +289,7 @@ def bench_camera(peers: FlagCreatePairsOff[bool] = False) -> None:
     from navsim.bench_camera import run
 
     with busy("rendering"):
-        run(peers=peers, console=Console())
+        run(peers=peers, console=Output())
 
 
 @_bench.command(name="world")
@@ -300,7 +300,7 @@ def bench_world() -> None:
 
     keep_freed_memory()  # as training does
     with busy("loading"):
-        run(Console())
+        run(Output())
 
 
 @_bench.command(name="sensor")
@@ -315,7 +315,7 @@ def bench_sensor(world: str = "complex_train") -> None:
 
     keep_freed_memory()  # as training does
     with busy("rendering"):
-        run(world=world, console=Console())
+        run(world=world, console=Output())
 
 
 @_bench.command(name="env")
@@ -327,7 +327,7 @@ def bench_env(world: str = "complex_train") -> None:
     """
     from rl.bench_env import run
 
-    run(Console(), world=world)
+    run(Output(), world=world)
 
 
 @_bench.command(name="generate")
@@ -339,7 +339,7 @@ def bench_generate(rooms: int = 100) -> None:
     """
     from navsim.bench_generate import run
 
-    run(Console(), rooms=rooms)
+    run(Output(), rooms=rooms)
 
 
 @_bench.command(name="learner")
@@ -356,7 +356,7 @@ def bench_learner(
     """
     from rl.bench_learner import run
 
-    run(Console(), num_threads=num_threads, peers=peers, height=height, width=width)
+    run(Output(), num_threads=num_threads, peers=peers, height=height, width=width)
 
 
 @_bench.command(name="replay")
@@ -369,7 +369,7 @@ def bench_replay(peers: FlagCreatePairsOff[bool] = False, capacity: int = 50_000
     """
     from rl.bench_replay import run
 
-    run(Console(), peers=peers, capacity=capacity)
+    run(Output(), peers=peers, capacity=capacity)
 
 
 @_bench.command(name="train")
@@ -390,7 +390,7 @@ def bench_train(
 
     kinds: dict[str, tuple[Literal["sync", "async"], ...]] = {"both": ("sync", "async")}
     kinds |= {"sync": ("sync",), "async": ("async",)}
-    run(Console(), steps=steps, exact=exact, collectors=kinds[collector], out=out)
+    run(Output(), steps=steps, exact=exact, collectors=kinds[collector], out=out)
 
 
 @_bench.command(name="learning")
@@ -425,7 +425,7 @@ def bench_learning(
 
     try:
         run(
-            Console(),
+            Output(),
             results=results,
             runs=runs,
             seeds=seeds,

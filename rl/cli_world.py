@@ -43,6 +43,7 @@ def check(
     from navsim import shipped_worlds
     from navsim.check import check_files
     from navsim.diagnostics import print_reports
+    from rl.console import Output
 
     errors = Console(stderr=True, highlight=False)
 
@@ -50,7 +51,7 @@ def check(
         return track(items, "solving", total=total, console=errors, transient=True)
 
     reports = check_files(files or shipped_worlds(), solve=solve, progress=progress)
-    status = print_reports(reports, Console(highlight=False), errors, paths=paths, json=json, strict=strict)
+    status = print_reports(reports, Output(highlight=False), errors, paths=paths, json=json, strict=strict)
     if status:
         raise SystemExit(status)
 

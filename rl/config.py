@@ -6,8 +6,10 @@ import dataclasses
 import json
 import math
 from dataclasses import dataclass, field
+from functools import cache
+from numbers import Integral
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from navsim.camera import DepthCamera
 from navsim.errors import WorldError
@@ -228,9 +230,17 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
     """What differs from one episode to the next, in training."""
 
     def __post_init__(self) -> None:
-        problems = list(self._problems())
+        problems = list(self._of_another_kind()) or list(self._problems())
         if problems:
             raise ConfigError("\n".join(problems), self)
+
+    def _of_another_kind(self):
+        for name, hint in _hints().items():
+            value = getattr(self, name)
+            if get_origin(hint) is Literal and value not in get_args(hint):
+                yield f"--{_flag(name)} must be one of {', '.join(map(str, get_args(hint)))}; got {value!r}"
+            elif hint is int and not isinstance(value, Integral):
+                yield f"--{_flag(name)} must be a whole number; got {value!r}"
 
     def _problems(self):
         positive = (
@@ -391,14 +401,23 @@ class TrainConfig(Records, Learning, Exploration, Collection, Experiment):
                     values[name] = part(**{key: _untied(value) for key, value in values[name].items()})
         except (AttributeError, TypeError, ValueError) as error:  # no mapping at all, unknown keys, wrong values
             raise ConfigError(f"settings of the {name} cannot be used: {error}") from error
-        for name in ("world", "inputs"):
-            if name in values:
-                values[name] = tuple(values[name])
-        if values.get("out") is not None:
-            values["out"] = Path(values["out"])
         if "num_threads" in values and values["num_threads"] is None:  # earlier versions' way to say what is default
             del values["num_threads"]
-        return cls(**values)
+        try:
+            for name in ("world", "inputs"):
+                if name in values:
+                    values[name] = tuple(values[name])
+            if values.get("out") is not None:
+                values["out"] = Path(values["out"])
+            return cls(**values)
+        except (ArithmeticError, AttributeError, TypeError) as error:  # an infinite number of steps, a list as a number
+            raise ConfigError(f"a value is of another kind than its setting: {error}") from error
+
+
+@cache
+def _hints() -> dict[str, Any]:
+    """What kind of value each setting is."""
+    return get_type_hints(TrainConfig)
 
 
 def _untied(value: Any) -> Any:

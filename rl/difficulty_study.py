@@ -149,7 +149,7 @@ def rooms_of(values: dict[str, Any]) -> list[Room]:
 
 
 def plot(rooms: Sequence[Room]) -> Figure:
-    """Difficulty against the share of failures: each room that the model was not fitted to, and tenths of them all."""
+    """Difficulty against the share of failures: each room that the model was not fitted to, and eighths of them all."""
     judged = [room for room in rooms if not room.is_fitted_to]
     told = correlation(judged)
     figure = new_figure(7.0, 5.4)
@@ -201,14 +201,17 @@ def run(
         redraw: judge and draw what ``results`` holds instead of driving again.
 
     Raises:
-        ValueError: for less than two rooms of a kind.
+        ValueError: for less than two rooms of a kind, and with ``redraw`` for a file that holds no such results.
     """
     if rooms_each < 2 and not redraw:
         raise ValueError(
             f"rooms_each must be 2 or more, got {rooms_each}: half of them are fitted to, the others judged"
         )
     if redraw:
-        rooms = rooms_of(json.loads(results.read_text(encoding="utf-8")))
+        try:
+            rooms = rooms_of(json.loads(results.read_text(encoding="utf-8")))
+        except (KeyError, OSError, TypeError, ValueError) as error:
+            raise ValueError(f"{results} cannot be read as results of this study: {error}") from error
     else:
         rooms = list(drive(rooms_each, paths_each, console))
     told = summary(rooms)

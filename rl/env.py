@@ -117,7 +117,12 @@ class NavEnv(EnvBase):
         self._history = torch.zeros((num_envs, history_length(frame_interval), height, width), dtype=torch.uint8)
         self.surroundings: Surroundings | None = None
         if surroundings:
-            self.surroundings = Surroundings(num_envs, self.simulator.camera, lossy=self.simulator.sensor.loses_returns)
+            self.surroundings = Surroundings(
+                num_envs,
+                self.simulator.camera,
+                robot=self.simulator.robot,
+                lossy=self.simulator.sensor.loses_returns,
+            )
         self._pictures: PlanPictures | None = None
         self._make_specs(num_envs, height, width)
 
@@ -253,15 +258,18 @@ class NavEnv(EnvBase):
             state["surroundings"] = self.surroundings.state_dict()
         return tree_map(_as_tensor, state)
 
-    def load_state_dict(self, state_dict: dict, *args, **kwargs) -> None:
+    def load_state_dict(self, state_dict: dict, strict: bool = True, *args, **kwargs) -> None:
         """Goes on exactly where ``state_dict`` was taken; of an empty one, which TorchRL's ``Collector`` keeps of an
         environment like this, nothing is changed.
+
+        Nor is it where ``strict`` is False, as when TorchRL's ``EnvCreator`` hands what transforms have gathered, and
+        half of the state of an environment that it has made to try it, to all that it makes: they would drive alike.
 
         Raises:
             ValueError: for a state of an environment with another number of robots, other worlds, images, sensors or
                 memory; then nothing is changed.
         """
-        if not state_dict:
+        if not state_dict or not strict:
             return
         own, given = tuple(self._history.shape), tuple(state_dict["frames"].shape)
         if own != given:

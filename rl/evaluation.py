@@ -235,7 +235,8 @@ def _drive_paths(
     wheel_errors = simulator.wheel_errors.copy()
     memory = None
     if "surroundings" in (of_policy(policy, "in_keys") or ()):
-        memory = Surroundings(len(paths), simulator.camera, lossy=simulator.sensor.loses_returns)
+        lossy = simulator.sensor.loses_returns
+        memory = Surroundings(len(paths), simulator.camera, robot=robot, lossy=lossy)
     state = _first_state(observation, simulator, memory, frame_interval)
     driven = np.ones(len(paths), dtype=bool)
     if isinstance(policy, Planner):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import statistics
 from collections.abc import Sequence
 from pathlib import Path
@@ -173,7 +174,8 @@ def draw_failures(
         axes.set_xlim(x - _AROUND, x + _AROUND)
         axes.set_ylim(y - _AROUND, y + _AROUND)
         axes.axis("off")
-        axes.set_title(f"{failure.kind}\n{describe(path)}, step {path.steps}", fontsize=8, color=INK)
+        place = f"{worlds[path.world_index].name}, " if len(worlds) > 1 else ""
+        axes.set_title(f"{failure.kind}\n{place}{describe(path)}, step {path.steps}", fontsize=8, color=INK)
     return figure
 
 
@@ -204,12 +206,28 @@ def write_failures(
         save_figure(draw_failures(failures[:_MOST_DRAWN], worlds, config.camera, config.robot), picture)
     with atomic_write(page) as file:
         file.write(
-            _page(policy, world, result, failures, os.path.relpath(picture, page.parent), config.task.control_period)
+            _page(
+                policy,
+                world,
+                num_paths,
+                result,
+                failures,
+                os.path.relpath(picture, page.parent),
+                config.task.control_period,
+            )
         )
     return result
 
 
-def _page(policy: str, world: str, result: Evaluation, failures: Sequence[Failure], picture: str, period: float) -> str:
+def _page(
+    policy: str,
+    world: str,
+    num_paths: int | None,
+    result: Evaluation,
+    failures: Sequence[Failure],
+    picture: str,
+    period: float,
+) -> str:
     low, high = result.interval("success")
     lines = [
         f"# What {policy} still misses",
@@ -233,5 +251,7 @@ def _page(policy: str, world: str, result: Evaluation, failures: Sequence[Failur
             "",
             f"![the ends of the failed paths]({picture})",
         ]
-    lines += ["", f"Made by `python scripts/failures.py {policy} --world {world}`."]
+    told = ["python", "scripts/failures.py", policy, "--world", world]
+    told += [] if num_paths is None else ["--num-paths", str(num_paths)]
+    lines += ["", f"Made by `{shlex.join(told)}`."]
     return "\n".join(lines) + "\n"

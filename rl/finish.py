@@ -43,7 +43,7 @@ def finish(run: Run, console: Console) -> Path:
     policies: dict[str, QValueActor | Baseline] = {own: best}
     if not _are_the_same(best, last):
         policies[f"{own}{LAST_WEIGHTS}"] = last
-    policies |= {name: make_baseline(name, config.camera, config.sensor) for name in BASELINES}
+    policies |= {name: make_baseline(name, config.camera, config.sensor, config.robot) for name in BASELINES}
     evaluations = []
     for name, policy in policies.items():
         result = evaluate_as_trained(

@@ -58,7 +58,8 @@ class Pilot:
         """Forgets all images: the next one is the first of a new drive, which begins at 0.2 m/s straight on."""
         self._command = np.array([INITIAL_COMMAND])
         self._images: torch.Tensor | None = None
-        self._memory = Surroundings(1, self.camera, lossy=self._config.sensor.loses_returns)
+        lossy = self._config.sensor.loses_returns
+        self._memory = Surroundings(1, self.camera, robot=self._config.robot, lossy=lossy)
         self._origin: np.ndarray | None = None
 
     def command(

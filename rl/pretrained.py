@@ -16,6 +16,7 @@ from safetensors.torch import save
 from torchrl.modules import QValueActor
 
 from navsim.files import atomic_write
+from navsim.worldsource import is_generated
 from rl.config import TrainConfig
 from rl.learner import make_actor, policy_of, shapes_of_weights
 from rl.run import POLICY_FILES, Run, RunError
@@ -26,12 +27,12 @@ PREFIX = "pretrained:"
 LARGEST_FILE = 4 * 2**20
 """Bytes that a packed policy may have: it travels inside the wheel."""
 
-_DIRECTORY = Path(__file__).parent / "pretrained_policies"
+DIRECTORY = Path(__file__).parent / "pretrained_policies"
 
 
 def pretrained_policies() -> list[str]:
     """Names of the policies that come with the library, as they follow ``pretrained:``."""
-    return sorted(path.stem for path in _DIRECTORY.glob("*.safetensors"))
+    return sorted(path.stem for path in DIRECTORY.glob("*.safetensors"))
 
 
 def load_pretrained(name: str) -> tuple[QValueActor, TrainConfig]:
@@ -51,7 +52,7 @@ def load_pretrained(name: str) -> tuple[QValueActor, TrainConfig]:
         others = f"there are: {', '.join(known)}" if known else "this version has none: name a run's directory"
         remedy = f'did you mean "{PREFIX}{by_letters[meant[0]]}"?' if meant else others
         raise RunError(f'no policy "{PREFIX}{name}" comes with the library; {remedy}')
-    return read_policy(_DIRECTORY / f"{name}.safetensors")
+    return read_policy(DIRECTORY / f"{name}.safetensors")
 
 
 def pack_policy(run: Run, path: Path, *, weights: Literal["best", "last"] = "best") -> None:
@@ -69,7 +70,15 @@ def pack_policy(run: Run, path: Path, *, weights: Literal["best", "last"] = "bes
     size = sum(weight.numel() * weight.element_size() for weight in halved.values())
     if size > LARGEST_FILE:
         raise RunError(f"{run.directory}: the packed policy has {size / 2**20:.1f} MiB, more than the 4 MiB allowed")
-    settings = run.config.to_dict() | {"out": None}  # where it was trained is nobody's business
+    config = run.config
+    names = {
+        source: source if is_generated(source) else Path(source).name for source in (*config.world, config.eval_world)
+    }
+    settings = config.to_dict() | {  # on whose disk it was trained is nobody's business
+        "out": None,
+        "world": [names[source] for source in config.world],
+        "eval_world": names[config.eval_world],
+    }
     with atomic_write(path, "wb") as file:
         file.write(save(halved, metadata={"format": "1", "settings": json.dumps(settings)}))
 

@@ -304,7 +304,7 @@ def _depth_stack(actor: QValueActor, config: TrainConfig, world: World, path: Pa
     if "surroundings" in config.inputs:
         driven = np.arange(step + 1)
         images = camera.to_uint8(_ideal_images(config, world, path, driven))
-        remembered = remembered_at_end(images, path.trajectory[driven], camera)
+        remembered = remembered_at_end(images, path.trajectory[driven], camera, config.robot)
         observation["surroundings"] = torch.from_numpy(remembered)
     with torch.no_grad():
         q_values = actor(observation)["action_value"][0].numpy()

@@ -7,7 +7,6 @@ then its last weights (the thesis had no other) drive the paths of both evaluati
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 import statistics
 from collections.abc import Iterable, Sequence
@@ -34,7 +33,7 @@ from rl.metrics import Evaluation
 from rl.observation import NUM_FRAMES
 from rl.policies import load_policy
 from rl.run import Run, Table
-from rl.series import Planned, run_series
+from rl.series import Planned, read_results, run_series
 
 ROOMS = ("simple", "complex")
 """Each is trained in as ``ROOM_train`` and evaluated in as ``ROOM_eval``."""
@@ -186,7 +185,9 @@ def q_over_headings(
 
 def write_up(results: Path) -> None:
     """Writes ``tables.md`` and the figures from the finished cells' JSON in ``results / "cells"``."""
-    finished = [json.loads(file.read_text(encoding="utf-8")) for file in sorted((results / "cells").glob("*.json"))]
+    finished = [
+        read_results(file, *Cell._fields, "final", "training") for file in sorted((results / "cells").glob("*.json"))
+    ]
     if not finished:
         return
     with atomic_write(results / "tables.md") as file:
@@ -265,15 +266,53 @@ def figures(finished: Sequence[dict[str, Any]]) -> Iterable[tuple[str, Figure]]:
     for number, model in enumerate(MODELS, 7):
         mine = [cell for cell in small if cell["model"] == model and cell["room"] == "complex"]
         if mine:
-            yield f"figure-6-{number:02d}-q-values-{model}", _q_values(mine[0])
+            yield f"figure-6-{number:02d}-q-values-{model}", _q_values(_typical(mine))
     if small:
         yield "figure-6-09-actions", _actions(small)
     for number, model in enumerate(MODELS, 10):
         mine = [cell for cell in small if cell["model"] == model and cell["room"] == "complex"]
         if mine:
-            examples = choose_examples(_evaluation(mine[0], "complex"))
-            task = PRESETS["thesis"].task
-            yield f"figure-6-{number:02d}-paths-{model}", example_paths(load_world("complex_eval"), examples, task)
+            typical, task = _typical(mine), PRESETS["thesis"].task
+            examples = choose_examples(_evaluation(typical, "complex"))
+            figure = example_paths(load_world("complex_eval"), examples, task)
+            figure.suptitle(f"D3QN-{model}, seed {typical['seed']}", fontsize=11, color=INK)
+            yield f"figure-6-{number:02d}-paths-{model}", figure
+
+
+_CAPTIONS = {
+    1: "rewards of episodes while training in the simple room: means of each 4,000 steps; thin: each seed",
+    2: "rewards of episodes while training in the complex room: means of each 4,000 steps; thin: each seed",
+    3: "greatest Q-values of states while training in the simple room: means of what was learnt from; thin: each seed",
+    4: "greatest Q-values of states while training in the complex room: means of what was learnt from; thin: each seed",
+    5: "goals reached in each evaluation room after training in the room of its kind: means, each seed (circles), and "
+    "what the thesis reports (dashed)",
+    6: "goals reached in the evaluation room of the kind trained in, by steps of training: each seed; dashed: simple",
+    7: "Q-values of D3QN-I's seven actions by the direction of the goal: where 4.8 m are free ahead, and before a wall",
+    8: "Q-values of D3QN-S's seven actions by the direction of the goal: where 4.8 m are free ahead, and before a wall",
+    9: "share of each action among all steps in complex_eval, trained in the complex room: mean of all seeds",
+    10: "example paths of D3QN-I in complex_eval",
+    11: "example paths of D3QN-S in complex_eval",
+}
+_OF_ONE_SEED = (7, 8, 10, 11)
+
+
+def caption(name: str) -> str:
+    """What a figure shows, of its file name without the ending.
+
+    >>> caption("figure-6-10-paths-I")[:45]
+    'Figure 6.10: example paths of D3QN-I in compl'
+    """
+    number = int(name.split("-")[2])
+    typical = (
+        "; of those trained in the complex room, the seed with the median success" if number in _OF_ONE_SEED else ""
+    )
+    return f"Figure 6.{number}: {_CAPTIONS[number]}{typical}"
+
+
+def _typical(mine: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """The cell whose success is the median of them in the complex room; the lower one of two."""
+    by_success = sorted(mine, key=lambda cell: (_evaluation(cell, "complex").success_rate, cell["seed"]))
+    return by_success[(len(mine) - 1) // 2]
 
 
 def _axes(title: str, x: str, y: str, width: float = 7.0) -> tuple[Figure, Axes]:
@@ -364,7 +403,7 @@ def _q_values(cell: dict[str, Any]) -> Figure:
         values = np.array(cell["q_over_headings"][place])
         for action, label in enumerate(ACTION_LABELS):
             axes.plot(np.degrees(HEADINGS), values[:, action], color=_ACTION_COLOURS[action], lw=1.4, label=label)
-        axes.set_title(f"D3QN-{cell['model']}: {place}", fontsize=10, color=INK, loc="left")
+        axes.set_title(f"D3QN-{cell['model']}, seed {cell['seed']}: {place}", fontsize=10, color=INK, loc="left")
         axes.set_xlabel("direction of the goal, degrees (left positive)", fontsize=9, color=QUIET_INK)
         axes.set_xticks(range(-180, 181, 90))
         axes.tick_params(labelsize=8, colors=QUIET_INK)

@@ -17,7 +17,9 @@ from navsim.files import atomic_write
 from rl.ablations import COMPLEX, PLACES, ROWS, UNSEEN, UNSEEN_PATHS, rates_of
 from rl.baselines import BASELINES, make_baseline
 from rl.evaluation import evaluate
+from rl.reproduce import caption
 from rl.run import write_json
+from rl.series import read_results
 
 VARIANT = "fast"
 """The row of the best named variant, which ``make train`` trains."""
@@ -59,9 +61,17 @@ def drive_baselines(path: Path, console: Console | None = None) -> dict[str, Any
     Args:
         path: JSON file.
         console: where progress is shown; nowhere by default.
+
+    Raises:
+        ValueError: for a file that holds something else.
     """
     if path.exists():
-        return json.loads(path.read_text(encoding="utf-8"))
+        try:
+            found = json.loads(path.read_text(encoding="utf-8"))
+            _ = [found[name][place]["spl"] for name in BASELINES for place in PLACES]
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{path} does not hold what the baselines reach; move it away") from error
+        return found
     found = {
         name: {
             place: rates_of(evaluate(make_baseline(name), world, num_paths=paths, console=console))
@@ -80,8 +90,11 @@ def write_results(results: Path, page: Path, console: Console | None = None) -> 
         results: directory with ``ablations/``, ``reproduce/`` and ``baselines.json``; what is missing is said so.
         page: Markdown file.
         console: where progress is shown; nowhere by default.
+
+    Raises:
+        ValueError: for a file there that holds something else.
     """
-    runs = [json.loads(file.read_text(encoding="utf-8")) for file in sorted((results / "ablations").glob("*.json"))]
+    runs = [read_results(file, "row", "seed", "final") for file in sorted((results / "ablations").glob("*.json"))]
     tables = results / "reproduce" / "tables.md"
     text = results_page(
         runs,
@@ -165,9 +178,8 @@ def results_page(
     if thesis_figures:
         lines += ["", "### Figures 6.1 to 6.11", ""]
     for name in thesis_figures:
-        chapter, number, what = name.removeprefix("figure-").split("-", 2)
-        caption = f"Figure {chapter}.{int(number)}: {what.replace('-', ' ').replace('_', ' ')}"
-        lines += [f"![{caption}](results/reproduce/{name}.png)", "", f"{caption}.", ""]
+        told = caption(name)
+        lines += [f"![{told}](results/reproduce/{name}.png)", "", f"{told}.", ""]
     return "\n".join(lines).rstrip() + "\n"
 
 

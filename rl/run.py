@@ -213,10 +213,17 @@ class Run:
 
     @property
     def has_ended(self) -> bool:
-        """Whether all that the settings ask for has been learnt and written."""
-        rows = self.evaluations.rows()
+        """Whether all that the settings ask for has been learnt and written.
+
+        Raises:
+            RunError: if the table of evaluations is damaged.
+        """
         weights = self.directory / f"{POLICY_FILES['last']}.pt"
-        return bool(rows) and int(rows[-1]["step"]) >= self.config.total_steps and weights.exists()
+        try:
+            rows = self.evaluations.rows()
+            return bool(rows) and int(rows[-1]["step"]) >= self.config.total_steps and weights.exists()
+        except (KeyError, TypeError, ValueError, csv.Error) as error:
+            raise RunError(f"{self.evaluations.path} is damaged ({error}); restore it") from error
 
     @property
     def format(self) -> int:
@@ -404,6 +411,21 @@ def settings_of(config: TrainConfig) -> dict[str, Any]:
     All but where the directory is, which may be moved, and whether a report is written, which may be wanted later.
     """
     return {name: value for name, value in config.to_dict().items() if name not in ("out", "report")}
+
+
+def differing_settings(found: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
+    """Names of settings that differ, of those that both know: what was found may be older than some.
+
+    >>> differing_settings({"seed": 0, "task": {"max_steps": 9}}, {"seed": 0, "task": {"max_steps": 8}, "newer": 1})
+    ['task.max_steps']
+    """
+    names = []
+    for name in sorted(found.keys() & wanted.keys()):
+        if isinstance(found[name], dict) and isinstance(wanted[name], dict):
+            names += [f"{name}.{inner}" for inner in differing_settings(found[name], wanted[name])]
+        elif found[name] != wanted[name]:
+            names.append(name)
+    return names
 
 
 def versions() -> dict[str, str]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,7 +17,7 @@ from rich.console import Console
 from navsim.errors import WorldError
 from rl.background import CollectorError
 from rl.config import ConfigError, TrainConfig
-from rl.run import Run, RunError, settings_of, versions, write_json
+from rl.run import Run, RunError, differing_settings, settings_of, versions, write_json
 from rl.train import train
 from rl.watch import NumbersError
 
@@ -58,17 +59,23 @@ def run_series(
         console: where progress is shown.
 
     Raises:
-        ValueError: for results of another length or other settings than those planned, before anything is trained.
+        ValueError: for results of another length or other settings than those planned, and for files that cannot be
+            read or written, before anything is trained.
         SeriesError: at the end, if runs have failed or another process is training them.
     """
     for one in planned:
         _check_results(one)
-    missing = []
+        with _told(one.results.parent):
+            one.results.parent.mkdir(parents=True, exist_ok=True)
+    if not all(one.results.exists() for one in planned):
+        with _told():
+            write_up()  # of what there is: now, what is in its way costs no training
+    failed = []
     for number, one in enumerate(planned, 1):
         place = f"[{number}/{len(planned)}] {one.name}"
         if one.results.exists():
             console.print(f"{place}: finished before", markup=False, highlight=False)
-            _forget_checkpoints(one)
+            _forget_checkpoints_of_ended(one)
             continue
         console.print(f"{place}: {one.what}", markup=False, highlight=False)
         try:
@@ -79,22 +86,49 @@ def run_series(
                 _forget_checkpoints(one)
         except (CollectorError, ConfigError, NumbersError, OSError, RunError, WorldError) as error:
             console.print(f"{one.name}: {error}", markup=False, highlight=False, soft_wrap=True)
-            missing.append(one.name)
+            failed.append(one)
             continue
+        try:
+            write_up()
+        except (OSError, ValueError) as error:  # of which the end tells as well, if it lasts
+            console.print(f"not written up: {error}", markup=False, highlight=False, soft_wrap=True)
+    with _told():
         write_up()
-    write_up()
+    missing = [one.name for one in failed if not one.results.exists()]  # which another process has finished since
     if missing:
         raise SeriesError(f"not finished: {', '.join(missing)}; the reasons stand above")
+
+
+def read_results(path: Path, *keys: str) -> dict[str, Any]:
+    """What the results file of a run holds, which are ``keys`` besides what all of them hold.
+
+    Raises:
+        ValueError: for a file that is not one, which is named.
+    """
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        if not (isinstance(found["steps"], int) and isinstance(found.get("settings", {}), dict)):
+            raise TypeError("of another kind")
+        _ = [found[key] for key in keys]
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} does not hold the results of a run; move it away") from error
+    return found
+
+
+@contextmanager
+def _told(directory: Path | None = None) -> Iterator[None]:
+    """Files that cannot be read or written are told as other mistakes are."""
+    try:
+        yield
+    except OSError as error:
+        raise ValueError(f"{error.filename or directory} cannot be used: {error.strerror or error}") from error
 
 
 def _check_results(one: Planned) -> None:
     if not one.results.exists():
         return
-    try:
-        found = json.loads(one.results.read_text(encoding="utf-8"))
-        steps, settings = found["steps"], found.get("settings", {})
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{one.results} does not hold the results of a run; move it away") from error
+    found = read_results(one.results)
+    steps, settings = found["steps"], found.get("settings", {})
     if steps != one.config.total_steps:
         raise ValueError(
             f"{one.results} has the results of {steps:,} steps, where {one.config.total_steps:,} are asked for; move "
@@ -103,7 +137,7 @@ def _check_results(one: Planned) -> None:
     wanted = json.loads(json.dumps(settings_of(one.config)))
     if wanted["autocast"] == "auto":  # which has been decided there
         del wanted["autocast"]
-    others = sorted(_differences(settings, wanted))
+    others = differing_settings(settings, wanted)
     if others:
         raise ValueError(
             f"{one.results} has the results of other settings than those asked for ({', '.join(others)}); move it and "
@@ -111,13 +145,13 @@ def _check_results(one: Planned) -> None:
         )
 
 
-def _differences(found: dict[str, Any], wanted: dict[str, Any], within: str = "") -> Iterator[str]:
-    """Names of settings that differ, of those that both know: a file may be older than some."""
-    for name in found.keys() & wanted.keys():
-        if isinstance(found[name], dict) and isinstance(wanted[name], dict):
-            yield from _differences(found[name], wanted[name], f"{within}{name}.")
-        elif found[name] != wanted[name]:
-            yield f"{within}{name}"
+def _forget_checkpoints_of_ended(one: Planned) -> None:
+    """What lies there may be another run, with results elsewhere, which is not finished or just being trained."""
+    run = Run(one.config.directory)
+    with suppress(RunError):
+        if run.exists and run.has_ended:
+            with run.claimed():
+                _forget_checkpoints(one)
 
 
 def _forget_checkpoints(one: Planned) -> None:

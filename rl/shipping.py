@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from rich.console import Console
@@ -18,11 +18,13 @@ from navsim.sensor import SensorModel
 from navsim.worldsource import TRAINING_SEED, have_rooms_in_common, worlds_from
 from rl.ablations import UNSEEN_PATHS, UNSEEN_ROOMS, arguments_of
 from rl.baselines import make_baseline
+from rl.checkpoints import Checkpoints, step_of
 from rl.config import TrainConfig
 from rl.evaluation import evaluate_as_trained
 from rl.metrics import Evaluation
 from rl.pretrained import pack_policy, read_policy
-from rl.run import Run, RunError
+from rl.run import FORMAT, Run, RunError
+from rl.surroundings import STEPS
 
 PLACES: tuple[tuple[str, str, int | None], ...] = (
     ("`complex_eval`", "complex_eval", None),
@@ -60,17 +62,24 @@ def ship(
         the card.
 
     Raises:
-        RunError: for a run that lacks its weights, or has not been evaluated yet, or is too large to ship.
+        RunError: for a run that lacks its weights, or has not been evaluated yet, or is too large to ship, or is of an
+            earlier version.
     """
+    if run.format < FORMAT:
+        raise RunError(
+            f"{run.directory} was written by an earlier version of navsim-rl, whose logs lack what the card tells of"
+        )
     if not run.evaluations.rows():
         raise RunError(
             f"{run.directory} has no evaluation yet, which the card tells of; train on (navsim train --resume)"
         )
     with TemporaryDirectory() as elsewhere:  # an interrupted measurement leaves old weights with their card
         trial = Path(elsewhere) / f"{name}.safetensors"
+        learnt = _learnt(run, weights)
         pack_policy(run, trial, weights=weights)
         policy, config = read_policy(trial)
-    reactive = make_baseline("reactive", config.camera, config.sensor)
+        packed = trial.read_bytes()  # a run that trains on writes other weights meanwhile
+    reactive = make_baseline("reactive", config.camera, config.sensor, config.robot)
     results = []
     for place, world, paths in PLACES:
         own, beside = (
@@ -78,19 +87,42 @@ def ship(
             for driver in (policy, reactive)
         )
         results.append((place, own, beside))
-    card, text = directory / f"{name}.md", _card(run, name, config, weights, results)
-    pack_policy(run, directory / f"{name}.safetensors", weights=weights)
+    card, text = directory / f"{name}.md", _card(run, name, config, learnt, results)
+    with atomic_write(directory / f"{name}.safetensors", "wb") as file:
+        file.write(packed)
     with atomic_write(card) as file:
         file.write(text)
     return card
 
 
+class _Learnt(NamedTuple):
+    """How far a run's weights are."""
+
+    what: str
+    steps: int
+    processor_seconds: float
+
+
+def _learnt(run: Run, weights: Literal["best", "last"]) -> _Learnt:
+    evaluations = run.evaluations.rows()
+    if weights == "best":  # the first of several
+        best = max(evaluations, key=lambda row: (float(row["success_rate"]), float(row["spl"])))
+        what = f"those that did best in `{run.config.eval_world}` during the run"
+        return _Learnt(what, int(best["step"]), float(best["processor_seconds"]))
+    checkpoints = Checkpoints(run.directory / "checkpoints", {}).paths()
+    steps = step_of(checkpoints[-1]) if checkpoints else int(evaluations[-1]["step"])
+    logged = (*run.metrics.rows(), *evaluations)
+    spent = [float(row["processor_seconds"]) for row in logged if int(row["step"]) <= steps]
+    return _Learnt("the last of the run", steps, max(spent, default=0.0))
+
+
 def _card(
-    run: Run, name: str, config: TrainConfig, weights: str, results: list[tuple[str, Evaluation, Evaluation]]
+    run: Run, name: str, config: TrainConfig, learnt: _Learnt, results: list[tuple[str, Evaluation, Evaluation]]
 ) -> str:
-    last = run.evaluations.rows()[-1]
+    drawn = config.randomization
+    ideal = config.sensor == SensorModel() and drawn.latency == (0, 0)
     seen = [_SEES[one] for one in config.inputs]
-    own = run.with_its_worlds(config)
+    own = run.with_its_worlds(run.config)  # the packed ones have file names only
     seed = TRAINING_SEED + config.seed
     rooms = worlds_from(own.world, default_seed=seed)
     sizes = sorted({world.size for world in rooms}, key=math.prod)
@@ -105,17 +137,16 @@ def _card(
         sizes=" to ".join(f"{width:g} x {depth:g} m" for width, depth in dict.fromkeys((sizes[0], sizes[-1]))),
         still=not any(dynamic_obstacles(world) for world in rooms),
         trained_in=_listed(trained_in),
-        exact_wheels=config.randomization.wheel_speed_error == (0.0, 0.0),
+        exact_wheels=drawn.wheel_speed_error == (0.0, 0.0),
         command=f"navsim train {shlex.join(arguments_of(config))}",
-        steps=int(last["step"]),
-        robot_hours=int(last["step"]) * config.task.control_period / 3600.0,
-        minutes=float(last["processor_seconds"]) / 60.0,
+        steps=learnt.steps,
+        robot_hours=learnt.steps * config.task.control_period / 3600.0,
+        minutes=learnt.processor_seconds / 60.0,
         processor=run.processor,
-        chosen="the last of the run"
-        if weights == "last"
-        else f"those that did best in `{config.eval_world}` during the run",
-        sensor="an ideal depth sensor" if (ideal := config.sensor == SensorModel()) else "a noisy depth sensor",
+        chosen=learnt.what,
+        sensor="an ideal depth sensor" if ideal else "a depth sensor that errs",
         ideal=ideal,
+        memory_seconds=STEPS * config.task.control_period,
         results=results,
     )
 

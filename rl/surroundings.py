@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from navsim.camera import DepthCamera
-from navsim.scan import obstacle_depth, scan_points
+from navsim.robot import TURTLEBOT2, Robot
+from navsim.scan import clear_height, obstacle_depth, scan_points
 
 SECTORS = 36
 """Directions that are told apart; the first begins behind the robot, and they go on counterclockwise."""
@@ -33,6 +34,7 @@ class Surroundings:
     Args:
         num_robots: N.
         camera: whose images are remembered.
+        robot: whose way what is seen may be in; it passes below the rest.
         lossy: whether its sensor loses returns, so that a pixel without one is no obstacle.
 
     >>> memory = Surroundings(1, DepthCamera(width=1, height=1))
@@ -45,8 +47,8 @@ class Surroundings:
     (np.int64(0), 0.5)
     """
 
-    def __init__(self, num_robots: int, camera: DepthCamera, *, lossy: bool = False) -> None:
-        self._camera, self._lossy = camera, lossy
+    def __init__(self, num_robots: int, camera: DepthCamera, *, robot: Robot = TURTLEBOT2, lossy: bool = False) -> None:
+        self._camera, self._robot, self._lossy = camera, robot, lossy
         self._columns = _remembered_columns(camera.width)
         self._points = np.full((num_robots, STEPS, len(self._columns), 2), np.inf, dtype=np.float32)
         self._latest = 0
@@ -92,7 +94,7 @@ class Surroundings:
 
     def _places(self, depth: np.ndarray, poses: np.ndarray) -> np.ndarray:
         """``(N, columns, 2)`` float32, where columns of images see something; infinitely far where they do not."""
-        ahead = obstacle_depth(depth, self._camera, lossy=self._lossy)
+        ahead = obstacle_depth(depth, self._camera, high=clear_height(self._robot), lossy=self._lossy)
         x, y = np.moveaxis(scan_points(ahead, self._camera)[:, self._columns], -1, 0)
         cosine, sine = np.cos(poses[:, 2:3]), np.sin(poses[:, 2:3])
         places = np.stack([poses[:, 0:1] + cosine * x - sine * y, poses[:, 1:2] + sine * x + cosine * y], axis=-1)
@@ -101,7 +103,7 @@ class Surroundings:
 
     def take(self, kept: np.ndarray) -> Surroundings:
         """The memories of those robots alone that ``kept`` ``(N,)`` bool names."""
-        smaller = Surroundings(0, self._camera, lossy=self._lossy)
+        smaller = Surroundings(0, self._camera, robot=self._robot, lossy=self._lossy)
         smaller._points, smaller._latest = self._points[kept], self._latest
         return smaller
 
@@ -120,15 +122,18 @@ def _remembered_columns(width: int) -> np.ndarray:
     return np.union1d(from_side, width - 1 - from_side)
 
 
-def remembered_at_end(images: np.ndarray, poses: np.ndarray, camera: DepthCamera) -> np.ndarray:
+def remembered_at_end(
+    images: np.ndarray, poses: np.ndarray, camera: DepthCamera, robot: Robot = TURTLEBOT2
+) -> np.ndarray:
     """``(1, SECTORS)`` float32, what a robot remembers at the end of a drive; see ``Surroundings``.
 
     Args:
         images: ``(K, H, W)`` uint8, from the episode's first on.
         poses: ``(K, 3)``, where they were taken.
         camera: whose they are.
+        robot: that drives.
     """
-    memory = Surroundings(1, camera)
+    memory = Surroundings(1, camera, robot=robot)
     memory.begin(images[:1], poses[:1])
     for step in range(1, len(poses)):
         memory.see(images[step : step + 1], poses[step : step + 1])

@@ -79,7 +79,7 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
         run.check_resumable(config)
     else:
         run.check_vacant()
-    if not (resume and _nothing_is_left_to_train(run)):
+    if not (resume and _is_trained(run)):
         check_feasible(run.with_its_worlds(config) if resume else config)
     with run.claimed(), subnormals_are_zero():
         if resume and _nothing_is_left_to_train(run):
@@ -89,7 +89,13 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
 
 def _nothing_is_left_to_train(run: Run) -> bool:
     """Whether a run has ended, and its checkpoints are not wanted any more."""
-    return run.has_ended and not Checkpoints(run.directory / "checkpoints", {}).paths()
+    return not Checkpoints(run.directory / "checkpoints", {}).paths() and run.has_ended
+
+
+def _is_trained(run: Run) -> bool:
+    """Whether all has been learnt; reports and the like may be missing."""
+    checkpoints = Checkpoints(run.directory / "checkpoints", {}).paths()
+    return step_of(checkpoints[-1]) >= run.config.total_steps if checkpoints else run.has_ended
 
 
 def _train(config: TrainConfig, run: Run, resume: bool, console: Console) -> Run:
@@ -174,6 +180,7 @@ def _train(config: TrainConfig, run: Run, resume: bool, console: Console) -> Run
         learner.hand_over()
         logs.flush()
         run.save_policy("policy_last", learner.actor.state_dict())
+        keep_time()  # an evaluation at this step included
         checkpoints.save(checkpoint, progress.step, logs.take_score())
         saved = progress.step
 
@@ -186,6 +193,10 @@ def _train(config: TrainConfig, run: Run, resume: bool, console: Console) -> Run
                 progress.abandon_episodes()
         logs.begin(progress)
         clock = Clock(progress, lambda: [process.pid for process in getattr(collector, "procs", ())])
+
+        def keep_time() -> None:
+            progress.seconds, progress.processor_seconds = clock.seconds, clock.processor_seconds
+
         log_due, eval_due, checkpoint_due, handover_due = (
             _Every(interval, progress.step, config.total_steps)
             for interval in (
@@ -212,7 +223,7 @@ def _train(config: TrainConfig, run: Run, resume: bool, console: Console) -> Run
                 if config.collector == "async":
                     collector.update_policy_weights_()
 
-            progress.seconds, progress.processor_seconds = clock.seconds, clock.processor_seconds
+            keep_time()
             speed = clock.tick(progress.step)
             status = f"{progress.status()}  ε {float(exploration.eps.mean()):.2f}"
             bar.update(shown, completed=progress.step, status=status, speed=f"{speed:,.0f} steps/s")
@@ -239,6 +250,8 @@ def _train(config: TrainConfig, run: Run, resume: bool, console: Console) -> Run
                 bar.update(shown, status="interrupted: saving a checkpoint")
                 save()
                 raise KeyboardInterrupt
+        if interrupts:  # since the last batch, or in a run that had none left
+            raise KeyboardInterrupt
     return run
 
 

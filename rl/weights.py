@@ -14,5 +14,9 @@ def misfit(wanted: dict[str, torch.Tensor], found: object) -> str:
             return f'weight "{name}" is missing'
         if found[name].shape != weight.shape:
             return f'weight "{name}" has shape {tuple(found[name].shape)}, not {tuple(weight.shape)}'
+        if found[name].layout != torch.strided or found[name].is_meta:
+            return f'weight "{name}" is no dense tensor'
+        if not found[name].isfinite().all():
+            return f'weight "{name}" holds numbers that are not finite'
     unknown = [name for name in found if name not in wanted]
     return f'weight "{unknown[0]}" is unknown' if unknown else ""

@@ -9,6 +9,7 @@ A transition takes 41 kB on disk. The dataset is read where it lies, as memory-m
 """
 
 import sys
+import tempfile
 from functools import partial
 from pathlib import Path
 
@@ -17,7 +18,6 @@ from rich.progress import track
 from tensordict import TensorDict
 from torchrl.collectors import Collector
 
-from navsim import WorldError
 from rl import NavEnv
 
 
@@ -27,13 +27,17 @@ def collect(
     """Collect transitions of robots that drive at random, and store them on disk.
 
     Args:
-        out: Directory to write to.
+        out: Directory to make; it appears when all is collected.
         world: World file, name of a shipped world, or generated rooms such as generate:clutter,count=200.
         batches: Batches to collect, each of 16 steps of every robot.
         num_envs: Robots that one environment simulates together.
         processes: Processes that collect side by side, each with an environment; 0 collects in this one.
         seed: Seed of starts and goals.
     """
+    if out.exists():
+        raise ValueError(f"{out} is there already; move it away, or choose another directory (--out)")
+    if batches < 1:
+        raise ValueError(f"--batches must be at least 1; got {batches}")
     create_env = [partial(NavEnv, world, num_envs, seed=seed + i) for i in range(max(1, processes))]
     collector = Collector(
         create_env if processes else create_env[0],
@@ -41,17 +45,22 @@ def collect(
         frames_per_batch=(size := 16 * num_envs * len(create_env)),
         total_frames=batches * size,
     )
-    dataset: TensorDict | None = None
-    for i, batch in enumerate(track(collector, "collecting", total=batches)):
-        transitions = batch.reshape(-1)
-        if dataset is None:
-            dataset = transitions[:1].expand(batches * size).memmap_like(out)
-        dataset[i * size : (i + 1) * size] = transitions
-    collector.shutdown()
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as unfinished:
+        dataset: TensorDict | None = None
+        try:
+            for i, batch in enumerate(track(collector, "collecting", total=batches)):
+                transitions = batch.reshape(-1)
+                if dataset is None:
+                    dataset = transitions[:1].expand(batches * size).memmap_like(Path(unfinished) / "dataset")
+                dataset[i * size : (i + 1) * size] = transitions
+        finally:
+            collector.shutdown()
+        (Path(unfinished) / "dataset").rename(out)
 
 
 if __name__ == "__main__":
     try:
         tyro.cli(collect)
-    except WorldError as error:
+    except (OSError, ValueError) as error:  # a WorldError is one
         sys.exit(str(error))

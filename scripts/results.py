@@ -1,5 +1,6 @@
 """The page of results: python scripts/results.py --help"""
 
+import sys
 from pathlib import Path
 
 import tyro
@@ -17,7 +18,10 @@ def main(results: Path = Path("docs/results"), page: Path = Path("docs/results.m
         results: Directory with the JSON of scripts/ablations.py and scripts/reproduce.py.
         page: Markdown file to write.
     """
-    write_results(results, page, Console())
+    try:
+        write_results(results, page, Console())
+    except (OSError, ValueError) as error:
+        sys.exit(str(error))
 
 
 if __name__ == "__main__":

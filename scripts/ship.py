@@ -7,7 +7,8 @@ from typing import Literal
 import tyro
 from rich.console import Console
 
-from rl.run import Run, RunError
+from rl.pretrained import DIRECTORY
+from rl.run import Run
 from rl.shipping import ship
 
 
@@ -16,7 +17,7 @@ def main(
     name: str,
     /,
     weights: Literal["best", "last"] = "last",
-    directory: Path = Path("rl/pretrained_policies"),
+    directory: Path = DIRECTORY,
 ) -> None:
     """Pack a run's policy, measure what the packed file does, and write its model card.
 
@@ -28,7 +29,7 @@ def main(
     """
     try:
         print(ship(Run.open(run), directory, name, weights=weights, console=Console()))
-    except (RunError, OSError) as error:
+    except (OSError, ValueError) as error:
         sys.exit(str(error))
 
 

@@ -74,6 +74,7 @@ def main(
         redraw: Judge and draw the file of results instead of training.
     """
     console = Console()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # either way the training is to be ended as well
     if redraw:
         measured = json.loads(results.read_text(encoding="utf-8"))
     else:
@@ -102,24 +103,31 @@ def watch(hours: float, directory: Path, settings: list[str], console: Console) 
         process = subprocess.Popen([sys.executable, "-m", "rl.cli", *command], stdout=output, stderr=subprocess.STDOUT)
         trainer = psutil.Process(process.pid)
         past: dict[int, float] = {}
-        with console.status("starting") as status:
-            while process.poll() is None:
-                seconds = time.monotonic() - begin
-                if seconds > 3600.0 * hours:
-                    process.send_signal(signal.SIGINT)
-                    process.wait()
-                    break
-                if sample := look_at(trainer, past):
-                    step = last_step(directory)
-                    samples.append({"seconds": seconds, "step": step} | sample | {"reference": reference.seconds()})
-                    status.update(
-                        f"{seconds / 60.0:.0f} of {60.0 * hours:.0f} min, step {step:,},"
-                        f" {sample['memory'] / 2**20:.0f} MiB, {sample['files']} files"
-                    )
-                time.sleep(SAMPLE_SECONDS)
+        try:
+            with console.status("starting") as status:
+                while process.poll() is None:
+                    seconds = time.monotonic() - begin
+                    if seconds > 3600.0 * hours:
+                        break
+                    if sample := look_at(trainer, past):
+                        step = last_step(directory)
+                        samples.append({"seconds": seconds, "step": step} | sample | {"reference": reference.seconds()})
+                        status.update(
+                            f"{seconds / 60.0:.0f} of {60.0 * hours:.0f} min, step {step:,},"
+                            f" {sample['memory'] / 2**20:.0f} MiB, {sample['files']} files"
+                        )
+                    time.sleep(SAMPLE_SECONDS)
+        except KeyboardInterrupt:
+            console.print("stopped: what was seen so far is judged; the run can be gone on with")
+        finally:
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+                process.wait()
         if process.returncode not in (0, 128 + signal.SIGINT):
             output.seek(0)
             sys.exit(f"navsim train has failed, exit status {process.returncode}:\n{output.read()[-4000:]}")
+    if not samples:
+        sys.exit("navsim train ended before anything could be seen of it")
     left = still_alive([other for other in past if other != process.pid])
     return {
         "command": f"navsim {shlex.join(command)}",

@@ -67,6 +67,27 @@ def test_collected_transitions_lie_on_disk_ready_for_a_replay(tmp_path, processe
     assert sample["next", "reward"].shape == (8, 1)
 
 
+def test_a_dataset_is_never_half_and_never_overwritten(tmp_path, monkeypatch):
+    script = runpy.run_path(str(REPOSITORY / "scripts" / "collect.py"))
+    options = {"world": "simple_eval", "batches": 2, "num_envs": 2}
+
+    def interrupted(batches, *_, **__):
+        yield next(iter(batches))
+        raise KeyboardInterrupt
+
+    collect = script["collect"]
+    with monkeypatch.context() as patch:
+        patch.setitem(collect.__globals__, "track", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            collect(tmp_path / "new" / "dataset", **options)
+    assert not list((tmp_path / "new").iterdir())
+    (tmp_path / "dataset").mkdir()
+    with pytest.raises(ValueError, match="dataset is there already; move it away"):
+        collect(tmp_path / "dataset", **options)
+    with pytest.raises(ValueError, match="--batches must be at least 1; got 0"):
+        collect(tmp_path / "other", **options | {"batches": 0})
+
+
 def test_a_loop_of_ones_own_learns_and_leaves_its_weights(tmp_path, capsys, recwarn):
     rooms = ["--world", "simple_train", "--eval-world", "simple_eval"]
     try:

@@ -18,7 +18,7 @@ from navsim.randomization import Randomization
 from navsim.robot import Robot
 from navsim.sensor import KINECT
 from navsim.task import Task
-from rl.ablations import ROWS, Row, arguments_of, run
+from rl.ablations import ROWS, Row, arguments_of, curves, run
 from rl.cli import main
 from rl.config import PRESETS
 from rl.evaluation import evaluate_as_trained
@@ -125,6 +125,26 @@ def test_results_of_a_row_that_there_is_no_more_are_left_out(begun):
     (begun["results"] / "gone-seed0.json").write_text(json.dumps(results | {"row": "gone"}), encoding="utf-8")
     run(["base"], [0], **begun, console=QUIET)
     assert begun["page"].read_text(encoding="utf-8") == before
+
+
+def test_a_file_of_something_else_is_named_before_anything_is_trained(begun, monkeypatch):
+    monkeypatch.setattr(rl.series, "train", lambda *_, **__: pytest.fail("trained"))
+    (begun["results"] / "half-seed0.json").write_text('{"steps": 512}', encoding="utf-8")
+    with pytest.raises(ValueError, match=r"half-seed0\.json does not hold the results of a run; move it away"):
+        run(["S"], [0], **begun, console=QUIET)
+
+
+def test_minutes_of_different_machines_are_not_averaged_in_the_curves(begun):
+    """Two runs at 10 minutes on one machine, one at 30 on another: the curve ends at 10."""
+    ours = json.loads((begun["results"] / "base-seed0.json").read_text(encoding="utf-8"))
+    runs = []
+    for seed, (machine, minutes) in enumerate((("slow", 30), ("fast", 10), ("fast", 10))):
+        seconds = [60.0 * minutes * step / ours["steps"] for step in ours["curve"]["step"]]
+        curve = ours["curve"] | {"processor_seconds": seconds}
+        runs.append(ours | {"seed": seed, "machine": machine, "curve": curve})
+    by_steps, by_minutes = curves(runs).axes
+    assert by_minutes.lines[0].get_xdata()[-1] == pytest.approx(10.0)
+    assert by_steps.lines[0].get_xdata()[-1] == ours["steps"]
 
 
 def test_the_page_tells_what_the_same_weights_do_symmetrically(begun):

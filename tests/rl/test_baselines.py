@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from tensordict import TensorDict
 
 from navsim.camera import DepthCamera
 from navsim.raycast import render_depth
-from navsim.robot import INITIAL_COMMAND, MIRRORED_ACTIONS, apply_actions
+from navsim.robot import INITIAL_COMMAND, MIRRORED_ACTIONS, TURTLEBOT2, Robot, apply_actions
 from navsim.sensor import SensorModel
 from navsim.task import Task
 from navsim.world import World
@@ -102,24 +103,27 @@ def test_reactive_goes_round_what_straight_runs_into():
 
 
 def test_reactive_drives_under_a_table_top_but_not_over_a_plank():
-    def ahead_of(**box) -> int:
+    def ahead_of(robot: Robot = TURTLEBOT2, **box) -> int:
         room = World.from_dict({"format": 1, "size": [9, 9], "obstacles": [{"box": {"at": [0.5, 0.02], **box}}]})
         moving = torch.tensor([[0.4, 0.0]])
         state = observe(room, [0, 0, 0], [0.0], command=moving)
-        return int(make_baseline("reactive", CAMERA)(state)["action"])
+        return int(make_baseline("reactive", CAMERA, robot=robot)(state)["action"])
 
     assert ahead_of(size=[0.3, 1.2], base=0.7, height=0.03) == 4
+    assert ahead_of(size=[0.3, 1.2], base=0.7, height=0.03, robot=Robot(height=0.9)) != 4
     assert ahead_of(size=[0.3, 1.2], height=0.15) != 4
 
 
-def test_reactive_does_the_mirror_image_in_the_mirror_image():
+@pytest.mark.parametrize("width", [80, 81, 1])
+def test_reactive_does_the_mirror_image_in_the_mirror_image(width):
+    camera = replace(CAMERA, width=width)
     generator = np.random.default_rng(5)
     poses = np.column_stack([generator.uniform(-3, 3, (60, 2)), generator.uniform(-math.pi, math.pi, 60)])
     headings = generator.uniform(-math.pi, math.pi, 60)
-    state = observe(BLOCKED, poses, headings)
+    state = observe(BLOCKED, poses, headings, camera=camera)
     mirrored = state.clone()
     mirrored["depth"], mirrored["heading"] = state["depth"].flip(-1), -state["heading"]
-    reactive = make_baseline("reactive", CAMERA)
+    reactive = make_baseline("reactive", camera)
     actions = reactive(state)["action"]
     assert len(actions.unique()) > 3
     assert reactive(mirrored)["action"].tolist() == [MIRRORED_ACTIONS[action] for action in actions.tolist()]

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import io
 import json
+import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
@@ -17,6 +19,7 @@ from rl.ablations import COMPLEX, PLACES, UNSEEN
 from rl.bench_learner import CONFIG, PeerLearner, stable_baselines_update
 from rl.networks import make_q_actor
 from rl.number_format import random_sample
+from rl.run import versions
 from rl.stopwatch import stopwatch
 
 
@@ -154,13 +157,47 @@ def test_a_training_is_taken_apart_once(console, tmp_path):
     assert json.loads(out.read_text()) == first
 
 
+def measured(**changes) -> dict:
+    """An entry of the file, with other settings than the benchmark's."""
+    config = replace(bench_train.settings("sync", steps=768, exact=False, out=Path("run")), **changes)
+    numbers = dict.fromkeys(("seconds", "steady_steps_per_second", "thesis_seconds", "peak_megabytes"), 1.0)
+    return numbers | {"parts": {"update": 1.0}, "settings": config.to_dict()}
+
+
+def test_a_file_that_cannot_be_written_is_told_before_anything_is_trained(console, tmp_path, monkeypatch):
+    monkeypatch.setattr(bench_train, "map_in_processes", lambda *_, **__: pytest.fail("trained"))
+    (tmp_path / "file").touch()
+    with pytest.raises(ValueError, match=r"file/train\.json cannot be written .*; choose another file"):
+        bench_train.run(console, steps=768, collectors=("sync",), out=tmp_path / "file" / "train.json")
+
+
+def test_peers_that_are_missing_are_told_before_anything_is_measured(console, monkeypatch):
+    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
+    monkeypatch.setitem(sys.modules, "stable_baselines3.common.buffers", None)
+    monkeypatch.setattr(bench_replay, "_measure", lambda *_: pytest.fail("measured"))
+    with pytest.raises(ValueError, match="--peers needs stable-baselines3"):
+        bench_replay.run(console, peers=True, capacity=400)
+
+
 def test_files_of_other_benchmarks_and_machines_are_left_alone(console, tmp_path):
     out = tmp_path / "train.json"
     for text, reason in (
         ("[]", "does not hold results of this benchmark"),
         (
             json.dumps({"runs": {}, "versions": {"processor": "an abacus"}}),
-            "another machine, an abacus; choose another",
+            "on another machine, an abacus, not .*; choose another",
+        ),
+        (
+            json.dumps({"runs": {}, "versions": versions() | {"torch": "0.1"}}),
+            "with another torch, 0.1, not .*; choose another",
+        ),
+        (
+            json.dumps({"runs": {"batch64-sync-768": {}}, "versions": versions()}),
+            "does not hold results of this benchmark",
+        ),
+        (
+            json.dumps({"runs": {"batch64-sync-768": measured(learning_rate=0.9)}, "versions": versions()}),
+            r"other settings than this benchmark's \(learning_rate\); choose another",
         ),
     ):
         out.write_text(text)

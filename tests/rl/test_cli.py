@@ -95,17 +95,34 @@ def test_help_breaks_lines_where_the_terminal_ends_not_where_the_source_does(cap
 
 
 @pytest.mark.parametrize(
-    ("arguments", "status"),
-    [(["--help"], 141), (["train", "--help"], 141), (["world", "check", "complex_train"], 1)],  # 1 is rich's own
+    "arguments",
+    [
+        ["--help"],
+        ["train", "--help"],
+        ["world", "check", "complex_train"],
+        ["evaluate", "straight", "--world", "simple_eval", "--num-paths", "2", "--json", "written.json"],
+    ],
 )
-def test_a_reader_that_has_read_enough_is_no_mistake(arguments, status):
+def test_a_reader_that_has_read_enough_is_no_mistake(arguments, tmp_path):
     """As "navsim train --help | head" does, whether the command still writes then, or only flushes."""
     reading, writing = os.pipe()
     os.close(reading)
     command = [sys.executable, "-m", "rl.cli", *arguments]
+    done = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True, check=False, cwd=tmp_path)
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (141, "")
+    if "--json" in arguments:
+        assert len(Evaluation.load(tmp_path / "written.json").paths) == 2
+
+
+def test_a_training_goes_on_without_a_reader(room, tmp_path):
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [sys.executable, "-m", "rl.cli", "train", *training(room, tmp_path / "run")[1:], "--no-report"]
     done = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True, check=False)
     os.close(writing)
-    assert (done.returncode, done.stderr) == (status, "")
+    assert (done.returncode, done.stderr) == (0, "nobody reads the output any more: going on without it\n")
+    assert Run(tmp_path / "run").has_ended
 
 
 # The whole line

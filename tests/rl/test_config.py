@@ -193,6 +193,11 @@ def test_all_problems_are_told_at_once():
         ({"sensor": {"axial_noise": -1}}, "settings of the sensor cannot be used: sensor axial_noise"),
         ({"randomization": {"latency": [2, 1]}}, "settings of the randomization cannot be used"),
         ({"gamma": 7}, "--gamma"),
+        ({"model": "X"}, "--model must be one of I, S; got 'X'"),
+        ({"heading_init": ["spread"]}, "--heading-init must be one of"),
+        ({"warmup_steps": float("inf")}, "--warmup-steps must be a whole number; got inf"),
+        ({"gamma": "high"}, "of another kind than its setting"),
+        ({"world": 7}, "of another kind than its setting"),
     ],
 )
 def test_values_of_another_version_are_refused(values, named):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from torchrl.collectors import Collector
-from torchrl.envs import EnvBase
+from torchrl.envs import EnvBase, EnvCreator, SerialEnv
 from torchrl.envs.utils import check_env_specs
 
 from navsim import World, load_world
@@ -318,3 +318,16 @@ def test_a_state_of_an_environment_with_other_settings_changes_nothing(settings,
     after = env.state_dict()
     assert torch.equal(before["frames"], after["frames"])
     assert torch.equal(before["simulator"]["physics"]["poses"], after["simulator"]["physics"]["poses"])
+
+
+@pytest.mark.parametrize("surroundings", [False, True])
+@pytest.mark.parametrize("shared", [False, True])
+def test_environments_of_torchrls_creator_drive_each_their_own_way(surroundings, shared):
+    """It hands each of them parts of the state of one made to try it; ``ParallelEnv`` does so to lambdas."""
+    creator = EnvCreator(
+        lambda: NavEnv("simple_train", 2, camera=CAMERA, surroundings=surroundings), share_memory=shared
+    )
+    env = SerialEnv(2, creator)
+    poses = env.reset()["pose"].reshape(-1, 3)
+    assert len(poses.unique(dim=0)) == 4
+    assert env.rollout(3).batch_size == torch.Size([2, 2, 3])

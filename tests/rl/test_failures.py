@@ -10,11 +10,13 @@ from matplotlib.patches import Circle
 from rich.console import Console
 from tensordict import TensorDict
 
+import rl.failures
 from navsim.camera import DepthCamera
 from navsim.robot import Robot
 from navsim.task import Task
 from navsim.world import World
 from navsim.worldfile import save_world
+from navsim.worldsource import worlds_from
 from rl.evaluation import evaluate
 from rl.failures import KINDS, _in_view, draw_failures, explain, write_failures
 from rl.metrics import PathResult
@@ -98,6 +100,19 @@ def test_the_page_counts_every_failure_and_explains_its_kind(tmp_path):
     assert row == f"| {kind} | 1 | 0.2 | {KINDS[kind]} |"
     assert "![the ends of the failed paths](images/failures.png)" in text
     assert picture.stat().st_size > 3_000
+
+
+def test_the_page_of_some_paths_in_several_rooms_tells_how_to_see_them_again(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("one", "other"):
+        save_world(room({"at": [0.5, 0.0], "size": [0.3, 6.0], "height": 1.0}).replace(name=name), f"{name}.yaml")
+    drawn = []
+    monkeypatch.setattr(rl.failures, "save_figure", lambda figure, path: drawn.append(figure))
+    monkeypatch.setattr(rl.failures, "worlds_from", lambda world: worlds_from(["one.yaml", "other.yaml"]))
+    write_failures("straight", "rooms", tmp_path / "page.md", tmp_path / "page.png", num_paths=2)
+    text = (tmp_path / "page.md").read_text(encoding="utf-8")
+    assert text.endswith("Made by `python scripts/failures.py straight --world rooms --num-paths 2`.\n")
+    assert [axes.get_title().split("\n")[1].split(",")[0] for axes in drawn[0].axes] == ["one", "other"]
 
 
 def test_a_policy_without_failures_has_a_page_without_a_picture(tmp_path):

@@ -15,6 +15,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -402,7 +403,63 @@ def test_a_finished_run_whose_checkpoints_were_removed_stays_as_it_is(tmp_path, 
     assert {path: path.stat().st_mtime_ns for path in sorted(out.rglob("*")) if path.is_file()} == before
 
 
+def test_ctrl_c_is_heeded_where_no_batch_is_left(tmp_path, uninterrupted, monkeypatch):
+    out = tmp_path / "run"
+    shutil.copytree(uninterrupted.directory, out)
+    begin = rl.train._Logs.begin
+
+    def interrupted(logs, progress):
+        begin(logs, progress)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(rl.train._Logs, "begin", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        said_by_training(config(out), resume=True)
+
+
+def test_a_resumed_run_has_spent_the_time_of_the_evaluation_at_its_checkpoint(tmp_path, monkeypatch):
+    settings = config(tmp_path / "run")
+    evaluate = rl.train._evaluate
+
+    def slowly(*arguments):
+        time.sleep(1.5)
+        return evaluate(*arguments)
+
+    monkeypatch.setattr(rl.train, "_evaluate", slowly)
+    with monkeypatch.context() as patch:
+        interrupt_at(patch, update=9)
+        with pytest.raises(KeyboardInterrupt):
+            said_by_training(settings)
+    checkpoints = Checkpoints(settings.directory / "checkpoints", settings_of(settings)).paths()
+    evaluated = [int(row["step"]) for row in Run(settings.directory).evaluations.rows()]
+    shutil.rmtree(checkpoints[-1])  # as if it had been killed
+    assert step_of(checkpoints[-2]) in evaluated
+    said_by_training(settings, resume=True)
+    rows = Run(settings.directory).evaluations.rows()
+    assert float(rows[-1]["seconds"]) > 1.5 * (len(rows) - 1)
+
+
+def test_what_has_been_learnt_needs_no_room_for_checkpoints(tmp_path, uninterrupted, monkeypatch):
+    out = tmp_path / "run"
+    shutil.copytree(uninterrupted.directory, out)
+    monkeypatch.setattr(rl.train, "check_feasible", lambda _: pytest.fail("looked for room"))
+    said_by_training(config(out), resume=True)
+
+
 # Damaged
+
+
+@pytest.mark.parametrize("content", [b"\0" * 40, b"step,seconds\ngarbage,1\n"])
+def test_a_damaged_table_is_written_anew_from_a_checkpoint(tmp_path, uninterrupted, content):
+    out = tmp_path / "run"
+    shutil.copytree(uninterrupted.directory, out)
+    (out / "evaluations.csv").write_bytes(content + b"\n")
+    said_by_training(config(out), resume=True)
+    assert_same(Run(out), uninterrupted)
+    shutil.rmtree(out / "checkpoints")
+    (out / "evaluations.csv").write_bytes(content + b"\n")
+    with pytest.raises(RunError, match=r"evaluations\.csv is damaged \(.*\); restore it"):  # and not trained anew
+        said_by_training(config(out), resume=True)
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -159,9 +160,23 @@ def with_a_weight_too_many(weights: Path) -> None:
     torch.save(torch.load(weights, weights_only=True) | {"surplus": torch.zeros(1)}, weights)
 
 
+def with_a_weight_that_is_no_number(weights: Path) -> None:
+    found = torch.load(weights, weights_only=True)
+    name = next(iter(found))
+    torch.save(found | {name: torch.full_like(found[name], math.nan)}, weights)
+
+
+def with_a_sparse_weight(weights: Path) -> None:
+    found = torch.load(weights, weights_only=True)
+    name = next(iter(found))
+    torch.save(found | {name: found[name].to_sparse()}, weights)
+
+
 @pytest.mark.parametrize(
     "damage",
     [
+        with_a_weight_that_is_no_number,
+        with_a_sparse_weight,
         truncated,
         another_kind_of_file,
         a_lone_tensor,
@@ -192,7 +207,14 @@ def test_nothing_in_a_file_of_weights_is_executed(run, tmp_path, monkeypatch):
     assert not Path("intruded").exists()
 
 
-@pytest.mark.parametrize("content", ["", "[1, 2]", '{"preset": "fast", "gamma": "high"}', '{"gama": 0.9}', "\x00\xff"])
+@pytest.mark.parametrize(
+    "content",
+    [
+        *("", "[1, 2]", "\x00\xff"),
+        *('{"preset": "fast", "gamma": "high"}', '{"gama": 0.9}', '{"model": "X"}', '{"depth_scale": []}'),
+        *('{"warmup_steps": Infinity}', '{"atoms": Infinity}', '{"world": 7}'),
+    ],
+)
 def test_settings_that_cannot_be_used_are_refused_in_a_sentence(run, content):
     (run.directory / "config.json").write_bytes(content.encode("latin-1"))
     with pytest.raises(RunError, match=r"config\.json cannot be used"):

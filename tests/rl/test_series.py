@@ -12,7 +12,7 @@ from rich.console import Console
 from small_runs import tiny_config
 
 import rl.series
-from rl.run import Run, settings_of
+from rl.run import Run, RunError, settings_of
 from rl.series import Planned, SeriesError, run_series
 from rl.watch import NumbersError
 
@@ -60,7 +60,8 @@ def test_finished_runs_are_skipped_and_begun_ones_go_on(tmp_path, trained):
     said = io.StringIO()
     run_series(series, lambda run: {"of": run.directory.name}, write_up, Console(file=said))
     assert trained == [("begun", True), ("fresh", False)]
-    assert written == [["begun", "finished"], ["begun", "finished", "fresh"], ["begun", "finished", "fresh"]]
+    both, all_three = ["begun", "finished"], ["begun", "finished", "fresh"]
+    assert written == [["finished"], both, all_three, all_three]
     assert "[1/3] finished: finished before" in said.getvalue()
     assert "[3/3] fresh: the run fresh" in said.getvalue()
     results = json.loads(fresh.results.read_text())
@@ -123,7 +124,7 @@ def test_results_of_other_settings_are_refused_before_anything_is_trained(tmp_pa
 def test_results_that_cannot_be_read_are_told_before_anything_is_trained(tmp_path, trained):
     (one,) = planned(tmp_path, "one")
     one.results.parent.mkdir()
-    for text in ("", "[]", '{"total_steps": 512}'):
+    for text in ("", "[]", '{"total_steps": 512}', '{"steps": "512"}', '{"steps": 512, "settings": null}'):
         one.results.write_text(text)
         with pytest.raises(ValueError, match=r"one\.json does not hold the results of a run; move it away"):
             run_series([one], lambda run: {}, lambda: None, Console(file=io.StringIO()))
@@ -154,10 +155,64 @@ def test_what_another_process_has_finished_meanwhile_is_kept(tmp_path, trained, 
 
     def slow_train(config, **settings):
         run = train(config, **settings)
-        one.results.parent.mkdir()
         one.results.write_text('{"of": "the other"}')
         return run
 
     monkeypatch.setattr(rl.series, "train", slow_train)
     run_series([one], lambda run: {}, lambda: None, Console(file=io.StringIO()))
     assert json.loads(one.results.read_text()) == {"of": "the other"}
+
+
+def test_what_another_process_finishes_after_it_was_busy_here_is_finished(tmp_path, trained, monkeypatch):
+    busy, last = series = planned(tmp_path, "busy", "last")
+    train = rl.series.train
+
+    def train_meanwhile(config, **settings):
+        if config.directory.name == "busy":
+            raise RunError("another process is training there")
+        busy.results.write_text(json.dumps({"steps": busy.config.total_steps}))
+        return train(config, **settings)
+
+    monkeypatch.setattr(rl.series, "train", train_meanwhile)
+    run_series(series, lambda run: {}, lambda: None, Console(file=io.StringIO()))
+    assert last.results.exists()
+
+
+@pytest.mark.parametrize("ended", [False, True])
+def test_only_runs_that_have_ended_lose_their_checkpoints(tmp_path, trained, monkeypatch, ended):
+    (one,) = planned(tmp_path, "one")
+    one.results.parent.mkdir()
+    one.results.write_text(json.dumps({"steps": one.config.total_steps}))  # which may be of another directory's run
+    checkpoints = Run.create(one.config).directory / "checkpoints"
+    checkpoints.mkdir()
+    monkeypatch.setattr(Run, "has_ended", ended)
+    with Run(one.config.directory).claimed():  # as by another process
+        run_series([one], lambda run: {}, lambda: None, Console(file=io.StringIO()))
+    assert checkpoints.exists()
+    run_series([one], lambda run: {}, lambda: None, Console(file=io.StringIO()))
+    assert checkpoints.exists() != ended
+
+
+@pytest.mark.parametrize("breaks_after", [0, 1])
+def test_a_page_that_cannot_be_written_is_told_first_and_ends_no_series_that_runs(tmp_path, trained, breaks_after):
+    def write_up():
+        if len(trained) == breaks_after:
+            raise IsADirectoryError(21, "Is a directory", str(tmp_path / "page.md"))
+
+    series, said = planned(tmp_path, "one", "other"), io.StringIO()
+    if breaks_after == 0:
+        with pytest.raises(ValueError, match=r"page\.md cannot be used: Is a directory$"):
+            run_series(series, lambda run: {}, write_up, Console(file=said))
+        assert not trained
+    else:
+        run_series(series, lambda run: {}, write_up, Console(file=said, width=200))
+        assert "not written up: [Errno 21] Is a directory" in said.getvalue()
+        assert len(trained) == 2
+
+
+def test_a_file_where_results_are_to_lie_is_told_before_anything_is_trained(tmp_path, trained):
+    (one,) = planned(tmp_path, "one")
+    one.results.parent.write_text("in the way")
+    with pytest.raises(ValueError, match="results cannot be used: File exists"):
+        run_series([one], lambda run: {}, lambda: None, Console(file=io.StringIO()))
+    assert not trained

@@ -11,6 +11,7 @@ from small_runs import HALL, tiny_config
 import rl.shipping
 from navsim.randomization import Randomization
 from navsim.sensor import KINECT
+from navsim.task import Task
 from rl.evaluation import evaluate
 from rl.learner import make_actor
 from rl.pretrained import read_policy
@@ -67,7 +68,7 @@ def test_the_card_of_a_robot_that_remembers_tells_what_that_needs(run, tmp_path)
     (remembering.directory / "versions.json").write_text("{}")
     card = ship(remembering, tmp_path / "shipped", "S").read_text(encoding="utf-8")
     assert "its own command (v, ω) and what it remembers of what stood around it (odometry);" in card
-    assert "It remembers what it has seen for six seconds" in card
+    assert "It remembers what it has seen for 6 s," in card
     assert "nothing but its four images" not in card
     assert "mirror image" not in card
     assert "processor time (unknown)" in card
@@ -89,7 +90,7 @@ def test_the_card_of_a_noisy_robot_tells_its_settings_and_where_it_did_best(tmp_
     run.evaluations.append(row | dict.fromkeys(("success_rate", "collision_rate", "timeout_rate", "spl"), 0.5))
     card = ship(run, tmp_path / "shipped", "S", weights="best").read_text(encoding="utf-8")
     assert f"--sensor.axial-noise {KINECT.axial_noise}" in card
-    assert "a noisy depth sensor" in card
+    assert "a depth sensor that errs" in card
     assert f"those that did best in `{HALL}` during the run" in card
 
 
@@ -124,5 +125,55 @@ def test_the_card_tells_of_the_rooms_and_the_wheels_that_it_was_trained_with(tmp
     assert f"Of the rooms below, it was trained in {'a room' if lively else 'the hall'}." in card
     assert ("whose furniture stands still. In larger rooms, among what moves, or" in card) != lively
     assert ("9 x 8 m whose" in card) != lively
-    assert ("a noisy depth sensor and inexact wheels: for a robot with others train anew" in card) == lively
+    assert ("a depth sensor that errs and inexact wheels: for a robot with others train anew" in card) == lively
     assert ("an ideal depth sensor and exact wheels, which robots do not have: train anew" in card) != lively
+
+
+def test_weights_that_a_training_writes_meanwhile_are_not_shipped(run, tmp_path, monkeypatch):
+    measured = run.load_policy("policy_last")
+    evaluate_as_trained = rl.shipping.evaluate_as_trained
+
+    def evaluate_while_another_trains(*arguments, **settings):
+        run.save_policy("policy_last", {name: value + 1.0 for name, value in measured.items()})
+        return evaluate_as_trained(*arguments, **settings)
+
+    monkeypatch.setattr(rl.shipping, "evaluate_as_trained", evaluate_while_another_trains)
+    ship(run, tmp_path / "shipped", "S")
+    policy, _ = read_policy(tmp_path / "shipped" / "S.safetensors")
+    packed = {name.split("module.")[-1]: value for name, value in policy.state_dict().items()}
+    for name, value in measured.items():
+        torch.testing.assert_close(packed[name.split("module.")[-1]], value.half().float())
+
+
+def test_the_card_tells_how_far_the_shipped_weights_are(run, tmp_path):
+    """The last ones are of the newest checkpoint, the best ones of the first of the best evaluations."""
+    row = run.evaluations.rows()[0]
+    for step, minutes, success in ((36_000, 4, 0.9), (54_000, 6, 0.9), (72_000, 8, 0.7)):
+        rates = {"processor_seconds": str(60.0 * minutes), "success_rate": str(success)}
+        run.evaluations.append(row | {"step": str(step)} | rates)
+    (run.directory / "checkpoints" / "checkpoint-000000060000").mkdir(parents=True)
+    last, best = (ship(run, tmp_path / "shipped", "S", weights=weights).read_text() for weights in ("last", "best"))
+    assert "60,000 steps (3 h of robot time) in 6 min of processor time" in last
+    assert "36,000 steps (2 h of robot time) in 4 min of processor time" in best
+
+
+def test_the_card_of_other_settings_says_what_is_true_of_them(tmp_path, monkeypatch):
+    monkeypatch.setattr(rl.shipping, "PLACES", ())
+    settings = {"inputs": ("depth", "heading", "surroundings"), "symmetric": False}
+    settings |= {"task": Task(control_period=0.4), "randomization": Randomization(latency=(0, 3))}
+    run = Run.create(tiny_config(tmp_path / "run", **settings))
+    run.save_policy("policy_last", make_actor(run.config).state_dict())
+    row = {"step": 512, "seconds": 500.0, "processor_seconds": 120.0, "world": "hall"}
+    run.evaluations.append(row | dict.fromkeys(("success_rate", "collision_rate", "timeout_rate", "spl"), 0.5))
+    card = ship(run, tmp_path / "shipped", "S").read_text(encoding="utf-8")
+    assert "It remembers what it has seen for 12 s," in card
+    assert "a depth sensor that errs" in card  # whose images are late
+    assert f"--world {HALL.name} --eval-world {HALL.name} " in card
+    assert str(HALL.parent) not in card
+
+
+def test_a_run_of_an_earlier_version_is_refused_before_anything_is_measured(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(rl.shipping, "evaluate_as_trained", lambda *_, **__: pytest.fail("measured"))
+    monkeypatch.setattr(Run, "format", 1)
+    with pytest.raises(RunError, match="was written by an earlier version"):
+        ship(run, tmp_path / "shipped", "S")

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from navsim.camera import DepthCamera
 from navsim.raycast import render_depth
-from navsim.robot import MIRRORED_ACTIONS
+from navsim.robot import MIRRORED_ACTIONS, Robot
 from navsim.scan import obstacle_depth
 from navsim.sensor import SensorModel
 from navsim.simulator import Simulator
@@ -286,3 +286,18 @@ def test_a_robot_keeps_its_memory_when_others_have_finished():
     together = [state[1:] for state in seen[2]] + after_the_end_of_the_other
     for one, other in zip(together, alone, strict=True):
         torch.testing.assert_close(one, other, atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize(("height", "is_in_the_way"), [(0.42, False), (1.0, True)])
+def test_what_hangs_over_one_robot_is_in_the_way_of_a_taller_one(height, is_in_the_way):
+    beam = {"box": {"at": [0.5, 0.0], "size": [0.2, 3.0], "base": 0.6, "height": 0.2}}
+    world = World.from_dict({**ROOM, "obstacles": [beam], "starts": [{"at": [-1.0, 0.0], "yaw_deg": 0}]})
+    env = NavEnv(world, 1, camera=CAMERA, surroundings=True, robot=Robot(height=height))
+    state = env.reset()
+    for _ in range(4):
+        state = env.step(state.set("action", torch.tensor([4])))["next"]
+    ahead = state["surroundings"][0, SECTORS // 2 - 1 : SECTORS // 2 + 1]
+    gap = 0.4 - float(state["pose"][0, 0])
+    assert (ahead < REACH).any() == is_in_the_way
+    if is_in_the_way:
+        assert ahead.min() == pytest.approx(gap, abs=0.03)
