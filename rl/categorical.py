@@ -88,7 +88,8 @@ class CategoricalD3QN(D3QN):
 
     def expectation(self, logits: Tensor) -> Tensor:
         """Q-values ``(..., 7)`` of ``logits`` ``(..., 7, atoms)``."""
-        return logits.softmax(-1) @ self.support
+        with torch.autocast(logits.device.type, enabled=False):  # as for ``D3QN``'s
+            return logits.softmax(-1) @ self.support
 
     def head(self, hidden: Tensor) -> Tensor:
         """Action values, ``(B, 7)``, of hidden layers ``(1024, B)``."""
@@ -203,8 +204,10 @@ class CategoricalD3QNLoss(D3QNLoss):
             terminated = tensordict.get(("next", keys.terminated)).reshape(-1, 1)
             steps = tensordict.get("steps_to_next_obs", torch.ones_like(reward)).reshape(-1, 1)
             discount = self.value_estimator.gamma**steps * ~terminated
-            returns = reward + discount * online.support
-            wanted = project(target_logits[rows, best].softmax(-1), returns, online.support)
+            # In single precision at least, whatever the formats of weights and rewards.
+            support = online.support.to(torch.promote_types(online.support.dtype, torch.float32))
+            returns = (reward + discount * support).to(support.dtype)
+            wanted = project(target_logits[rows, best].softmax(-1).to(support.dtype), returns, support)
             tensordict.set(keys.value, online.expectation(logits)[rows, action].reshape(*batch, 1))
 
         cross_entropy = -(wanted * logits[rows, action].log_softmax(-1)).sum(-1).reshape(batch)

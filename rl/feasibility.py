@@ -31,15 +31,20 @@ _EVALUATED = 100
 """Robots that an evaluation drives together."""
 
 
-def check_feasible(config: TrainConfig) -> None:
-    """Raises :class:`ConfigError` with all that keeps a run from being done on this machine, one problem a line."""
-    problems = list(obstacles(config))
+def check_feasible(config: TrainConfig, *, is_trained: bool = False) -> None:
+    """Raises :class:`ConfigError` with all that keeps a run from being done on this machine, one problem a line.
+
+    Args:
+        config: the settings.
+        is_trained: whether all has been learnt, so that no checkpoint will be written any more.
+    """
+    problems = list(obstacles(config, is_trained=is_trained))
     if problems:
         raise ConfigError("\n".join(problems))
 
 
-def obstacles(config: TrainConfig) -> Iterator[str]:
-    """What keeps a run from being done on this machine, a sentence each."""
+def obstacles(config: TrainConfig, *, is_trained: bool = False) -> Iterator[str]:
+    """What keeps a run from being done on this machine, a sentence each; arguments as for ``check_feasible``."""
     for source in dict.fromkeys((*config.world, config.eval_world)):
         if not is_generated(source):
             try:
@@ -71,7 +76,7 @@ def obstacles(config: TrainConfig) -> Iterator[str]:
             f"({config.replay_capacity}) images of {config.camera.width}x{config.camera.height} pixels, and "
             f"{available / _GIB:.1f} GiB are available; lower it, or make the images smaller"
         )
-    if place.is_dir():
+    if place.is_dir() and not is_trained:
         missing = KEPT + 1 - len(list((directory / "checkpoints").glob("checkpoint-*")))
         wanted, free = max(1, missing) * size, shutil.disk_usage(place).free
         if wanted > free:

@@ -73,7 +73,7 @@ def _maps_of_both(
         kernels, all_offsets = [*kernels, kernel], [*all_offsets, offsets]
     channels = len(kernel)
     side_by_side = torch.cat([part.view(len(offsets), -1, channels) for part in all_offsets], dim=2).flatten(1)
-    response = online._response(depth, torch.cat(kernels)).view(len(scalars), -1)
+    response = online._response(depth, torch.cat(kernels)).reshape(len(scalars), -1)
     maps = torch.addmm(response, online._shares(scalars).to(response.dtype), side_by_side.to(response.dtype)).relu_()
     return maps.view(len(scalars), *online.conv1.output_size, len(kernels), channels).permute(3, 0, 1, 2, 4)
 
@@ -126,7 +126,7 @@ class _Online(torch.autograd.Function):
         shares = shares.to(dtype)
         maps = response.new_empty(batch + len(next_maps), *next_maps.shape[1:])
         own = maps[:batch].view(batch, -1)
-        torch.addmm(response.view(batch, -1), shares, offsets.to(dtype), out=own).relu_()
+        torch.addmm(response.reshape(batch, -1), shares, offsets.to(dtype), out=own).relu_()
         maps[batch:] = next_maps
         if len(next_maps):
             appended = torch.cat([appended, next_appended])

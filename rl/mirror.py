@@ -50,8 +50,11 @@ class MirroredHalf(Transform):
     Samples are drawn independently, so which half does not matter.
     """
 
+    at_rest = False
+    """Whether it leaves everything as it is for now."""
+
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        if not tensordict.batch_dims:
+        if self.at_rest or not tensordict.batch_dims:
             return tensordict
         half = len(tensordict) // 2
         for part in (tensordict, tensordict["next"]):

@@ -33,9 +33,8 @@ class ClippedAdam(torch.optim.Adam):
     grad_scale: Tensor | None
 
     def __init__(self, parameters: Iterable[torch.nn.Parameter], lr: float, max_norm: float | None) -> None:
-        self._parameters = list(parameters)
-        super().__init__(self._parameters, lr=lr, fused=True)
-        self._max_norm = max_norm
+        super().__init__(list(parameters), lr=lr, fused=True)
+        self.defaults["max_norm"] = max_norm  # which, unlike attributes, copies and pickles have
 
     def step(self, closure: Any = None) -> Any:
         """One step; the gradients are left as they were clipped.
@@ -46,17 +45,19 @@ class ClippedAdam(torch.optim.Adam):
         Raises:
             FloatingPointError: for a gradient that is not finite; no weight has been changed.
         """
-        gradients = [parameter.grad for parameter in self._parameters if parameter.grad is not None]
+        max_norm = self.defaults["max_norm"]
+        parameters = [parameter for group in self.param_groups for parameter in group["params"]]
+        gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
         self.grad_scale = None
-        if self._max_norm is not None:
+        if max_norm is not None:
             norm = torch.nn.utils.get_total_norm(gradients, foreach=True)
         else:
             small = [gradient for gradient in gradients if gradient.numel() <= _SMALL] or gradients[:1]
             norm = torch.stack([gradient.sum() for gradient in small]).sum()
         if not math.isfinite(float(norm)):
             raise FloatingPointError(f"the norm of the gradient is {float(norm)}")
-        if self._max_norm is not None:
-            self.grad_scale = ((norm + 1e-6) / self._max_norm).clamp_min(1.0).float()  # as clip_grad_norm_ has it
+        if max_norm is not None:
+            self.grad_scale = ((norm + 1e-6) / max_norm).clamp_min(1.0).float()  # as clip_grad_norm_ has it
         return super().step(closure)
 
 

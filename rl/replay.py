@@ -124,6 +124,29 @@ class _StreamReplay(TensorDictReplayBuffer):
             "a replay of streams is fed by batches (N, T): extend(step.unsqueeze(-1)) for one step of N robots"
         )
 
+    def __getitem__(self, index: Any) -> Any:
+        """What is stored, as it was; only samples are mirrored."""
+        mirrors = [transform for transform in self._transform if isinstance(transform, MirroredHalf)]
+        for mirror in mirrors:
+            mirror.at_rest = True
+        try:
+            return super().__getitem__(index)
+        finally:
+            for mirror in mirrors:
+                mirror.at_rest = False
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Goes on from ``state_dict``.
+
+        Raises:
+            ValueError: for the state of a replay that was made with other arguments; then nothing is changed.
+        """
+        frames = self._transform[0]
+        state = {f"transforms.0.{name}": value for name, value in frames.state_dict().items()}
+        for name in state:
+            frames.refuse_another(state_dict["_transforms"][name])
+        super().load_state_dict(state_dict)
+
     def empty(self, empty_write_count: bool = True) -> None:
         """Forgets all transitions, and the steps that wait for their n-step return."""
         super().empty(empty_write_count)
@@ -279,6 +302,15 @@ class SharedFrames(MultiStepTransform):
         self._interval = frame_interval
         self._storage = storage
         self._frames = FrameStore(storage.max_size, 2 * storage.max_size, height, width)
+        self._made_with = {
+            "capacity": storage.max_size,
+            "height": height,
+            "width": width,
+            "n_step": n_step,
+            "gamma": float(gamma),
+            "inputs": list(observed),
+            "frame_interval": frame_interval,
+        }
         self._current: np.ndarray | None = None
         self._running: np.ndarray | None = None
 
@@ -432,6 +464,7 @@ class SharedFrames(MultiStepTransform):
     def get_extra_state(self) -> dict[str, Any]:
         """The images, and what is known of the environments' present steps."""
         return {
+            "made_with": dict(self._made_with),
             "frames": self._frames.state_dict(),
             "current": None if self._current is None else torch.from_numpy(self._current),
             "running": None if self._running is None else torch.from_numpy(self._running),
@@ -439,7 +472,12 @@ class SharedFrames(MultiStepTransform):
         }
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Goes on from ``get_extra_state``."""
+        """Goes on from ``get_extra_state``.
+
+        Raises:
+            ValueError: for a replay's that was made with other arguments.
+        """
+        self.refuse_another(state)
         self._frames.load_state_dict(state["frames"])
         self._current, self._running = (
             None if state[name] is None else state[name].numpy().copy() for name in ("current", "running")
@@ -448,6 +486,16 @@ class SharedFrames(MultiStepTransform):
         self._buffer = None
         if waiting is not None:
             self._buffer = TensorDict(waiting, waiting["action"].shape).unflatten_keys(".").clone()
+
+    def refuse_another(self, state: dict[str, Any]) -> None:
+        """Raises ValueError for the state of a replay that was made with other arguments."""
+        made_with = state.get("made_with", {})  # earlier versions do not tell
+        for name, own in self._made_with.items():
+            if name in made_with and made_with[name] != own:
+                raise ValueError(
+                    f"the saved replay was made with {name}={made_with[name]!r}, and this one with {own!r}; make it "
+                    "with the same arguments"
+                )
 
 
 def _refuse_one_step_of_many(steps: TensorDictBase) -> None:

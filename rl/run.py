@@ -140,6 +140,14 @@ class Table:
             complete, _, _ = file.read().rpartition("\n")
         return list(csv.DictReader(io.StringIO(complete)))
 
+    def check_beginning(self) -> None:
+        """Raises ValueError if there is a file that does not begin as this table does."""
+        if self.path.exists():
+            with self.path.open(encoding="utf-8", errors="replace") as file:
+                first = file.readline(10_000).rstrip("\r\n")
+            if not ",".join(self.columns).startswith(first):
+                raise ValueError(f"its first line is {first[:40]!r}")
+
     def replace(self, rows: Sequence[Mapping[str, str]]) -> None:
         """Makes these all the rows; without any, there is no file.
 
@@ -221,6 +229,8 @@ class Run:
         weights = self.directory / f"{POLICY_FILES['last']}.pt"
         try:
             rows = self.evaluations.rows()
+            if not rows:
+                self.evaluations.check_beginning()
             return bool(rows) and int(rows[-1]["step"]) >= self.config.total_steps and weights.exists()
         except (KeyError, TypeError, ValueError, csv.Error) as error:
             raise RunError(f"{self.evaluations.path} is damaged ({error}); restore it") from error

@@ -95,6 +95,8 @@ class Surroundings:
     def _places(self, depth: np.ndarray, poses: np.ndarray) -> np.ndarray:
         """``(N, columns, 2)`` float32, where columns of images see something; infinitely far where they do not."""
         ahead = obstacle_depth(depth, self._camera, high=clear_height(self._robot), lossy=self._lossy)
+        # What is too near to be measured is somewhere ahead of the camera, not in it: at most this far.
+        ahead = np.where(ahead == 0.0, np.float32(max(self._camera.blind_zone, self._camera.min_range)), ahead)
         x, y = np.moveaxis(scan_points(ahead, self._camera)[:, self._columns], -1, 0)
         cosine, sine = np.cos(poses[:, 2:3]), np.sin(poses[:, 2:3])
         places = np.stack([poses[:, 0:1] + cosine * x - sine * y, poses[:, 1:2] + sine * x + cosine * y], axis=-1)

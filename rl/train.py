@@ -79,8 +79,8 @@ def train(config: TrainConfig, *, resume: bool = False, console: Console | None 
         run.check_resumable(config)
     else:
         run.check_vacant()
-    if not (resume and _is_trained(run)):
-        check_feasible(run.with_its_worlds(config) if resume else config)
+    if not (resume and _nothing_is_left_to_train(run)):
+        check_feasible(run.with_its_worlds(config) if resume else config, is_trained=resume and _is_trained(run))
     with run.claimed(), subnormals_are_zero():
         if resume and _nothing_is_left_to_train(run):
             return run
@@ -93,9 +93,9 @@ def _nothing_is_left_to_train(run: Run) -> bool:
 
 
 def _is_trained(run: Run) -> bool:
-    """Whether all has been learnt; reports and the like may be missing."""
+    """Whether the newest checkpoint has learnt all."""
     checkpoints = Checkpoints(run.directory / "checkpoints", {}).paths()
-    return step_of(checkpoints[-1]) >= run.config.total_steps if checkpoints else run.has_ended
+    return bool(checkpoints) and step_of(checkpoints[-1]) >= run.config.total_steps
 
 
 def _train(config: TrainConfig, run: Run, resume: bool, console: Console) -> Run:

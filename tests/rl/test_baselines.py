@@ -103,14 +103,15 @@ def test_reactive_goes_round_what_straight_runs_into():
 
 
 def test_reactive_drives_under_a_table_top_but_not_over_a_plank():
-    def ahead_of(robot: Robot = TURTLEBOT2, **box) -> int:
-        room = World.from_dict({"format": 1, "size": [9, 9], "obstacles": [{"box": {"at": [0.5, 0.02], **box}}]})
+    def ahead_of(robot: Robot = TURTLEBOT2, x: float = 0.5, **box) -> int:
+        room = World.from_dict({"format": 1, "size": [9, 9], "obstacles": [{"box": {"at": [x, 0.02], **box}}]})
         moving = torch.tensor([[0.4, 0.0]])
         state = observe(room, [0, 0, 0], [0.0], command=moving)
         return int(make_baseline("reactive", CAMERA, robot=robot)(state)["action"])
 
     assert ahead_of(size=[0.3, 1.2], base=0.7, height=0.03) == 4
-    assert ahead_of(size=[0.3, 1.2], base=0.7, height=0.03, robot=Robot(height=0.9)) != 4
+    assert ahead_of(size=[0.3, 1.2], base=0.7, height=0.03, x=1.0) == 4
+    assert ahead_of(size=[0.3, 1.2], base=0.7, height=0.03, x=1.0, robot=Robot(height=0.9)) != 4
     assert ahead_of(size=[0.3, 1.2], height=0.15) != 4
 
 

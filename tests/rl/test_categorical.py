@@ -204,3 +204,27 @@ def test_a_network_whose_values_are_not_the_means_is_refused():
     )
     with pytest.raises(ValueError, match="knows no action masks"):
         CategoricalD3QNLoss(masked)
+
+
+def test_values_have_the_digits_of_the_weights_under_autocast():
+    seen = batch(4)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        values = actor()(seen.clone())["action_value"]
+    assert values.dtype == torch.float32
+    assert not torch.equal(values, values.bfloat16().float())
+
+
+@pytest.mark.parametrize("number_format", [torch.float64, torch.bfloat16, torch.float16])
+def test_weights_and_rewards_may_have_any_format(number_format):
+    """The loss of weights rounded to half precision is near, and that of rewards in double precision the same."""
+    torch.manual_seed(0)
+    loss, samples = CategoricalD3QNLoss(actor()), batch()
+    expected = loss(samples.clone())["loss"]
+    if number_format == torch.float64:
+        samples["next", "reward"] = samples["next", "reward"].double()
+        torch.testing.assert_close(loss(samples)["loss"], expected)
+        loss = loss.double()
+    found = loss.to(number_format)(samples.clone())["loss"]
+    found.backward()
+    tolerance = 1e-5 if number_format == torch.float64 else 0.05
+    torch.testing.assert_close(found.detach().float(), expected.detach(), rtol=tolerance, atol=0.0)

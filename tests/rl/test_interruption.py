@@ -33,7 +33,7 @@ from rl.background import COLLECTOR_SETTINGS, CollectorError
 from rl.checkpoints import Checkpoints, StateFile, find_damage, step_of
 from rl.cli import main
 from rl.collect import ResumableCollector
-from rl.config import TrainConfig
+from rl.config import ConfigError, TrainConfig
 from rl.learner import Learner
 from rl.run import FORMAT, Run, RunError, Table, settings_of, write_json
 from rl.train import train
@@ -442,8 +442,11 @@ def test_a_resumed_run_has_spent_the_time_of_the_evaluation_at_its_checkpoint(tm
 def test_what_has_been_learnt_needs_no_room_for_checkpoints(tmp_path, uninterrupted, monkeypatch):
     out = tmp_path / "run"
     shutil.copytree(uninterrupted.directory, out)
-    monkeypatch.setattr(rl.train, "check_feasible", lambda _: pytest.fail("looked for room"))
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=0))
     said_by_training(config(out), resume=True)
+    shutil.rmtree(Checkpoints(out / "checkpoints", {}).paths()[-1])
+    with pytest.raises(ConfigError, match=r"0\.00 GiB of free disk"):
+        said_by_training(config(out), resume=True)
 
 
 # Damaged

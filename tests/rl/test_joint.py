@@ -27,10 +27,10 @@ def change_way(request, monkeypatch):
     return change
 
 
-def observation(height, width, command):
-    depth = torch.randint(0, 256, (11, 4, height, width), dtype=torch.uint8)
-    heading = (torch.rand(11, 1) * 2 - 1) * torch.pi
-    return (depth, heading, torch.randn(11, 2)) if command else (depth, heading)
+def observation(height, width, command, count=11):
+    depth = torch.randint(0, 256, (count, 4, height, width), dtype=torch.uint8)
+    heading = (torch.rand(count, 1) * 2 - 1) * torch.pi
+    return (depth, heading, torch.randn(count, 2)) if command else (depth, heading)
 
 
 def gradients(network, hidden, weights):
@@ -69,6 +69,22 @@ def test_an_update_sees_the_hidden_layers_that_each_network_would_have(
     assert not results[1].requires_grad
     assert not results[2].requires_grad
     for gradient, reference in zip(gradients(online, results[0], weights), expected_gradients, strict=True):
+        torch.testing.assert_close(gradient, reference, rtol=1e-4, atol=1e-5 * float(reference.abs().max()))
+
+
+@pytest.mark.parametrize("model", ["I", "S"])
+def test_a_batch_may_be_of_one(change_way, model):
+    torch.manual_seed(0)
+    online, target = (D3QN(model) for _ in range(2))
+    now, after = (observation(64, 80, command=False, count=1) for _ in range(2))
+    expected = online.hidden(*now), target.hidden(*after), online.hidden(*after)
+    expected_gradients = gradients(online, expected[0], torch.ones_like(expected[0]))
+    change_way()
+    results = hidden_of_update(online, target, now, after, double=True)
+    for result, reference in zip(results, expected, strict=True):
+        torch.testing.assert_close(result, reference, rtol=1e-4, atol=1e-5)
+    own = gradients(online, results[0], torch.ones_like(expected[0]))
+    for gradient, reference in zip(own, expected_gradients, strict=True):
         torch.testing.assert_close(gradient, reference, rtol=1e-4, atol=1e-5 * float(reference.abs().max()))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 from copy import deepcopy
 from dataclasses import replace
 
@@ -16,7 +17,7 @@ from rl.config import PRESETS
 from rl.learner import Learner, make_actor
 from rl.loss import D3QNLoss
 from rl.networks import make_q_actor, symmetric_policy
-from rl.optimiser import SoftUpdateAtOnce
+from rl.optimiser import ClippedAdam, SoftUpdateAtOnce
 
 CONFIG = replace(
     PRESETS["memoryless"],
@@ -171,6 +172,22 @@ def test_steps_are_those_of_pytorch_on_clipped_gradients(max_grad_norm):
     torch.testing.assert_close(target(learner), target(plain), rtol=1e-5, atol=1e-7)
     for ours, theirs in zip(learner.optimiser.state.values(), optimiser.state.values(), strict=True):
         torch.testing.assert_close(ours["exp_avg"], theirs["exp_avg"], rtol=1e-3, atol=1e-7)
+
+
+@pytest.mark.parametrize("copied", [deepcopy, lambda optimiser: pickle.loads(pickle.dumps(optimiser))])
+def test_a_copied_optimiser_clips_as_the_original_does(copied):
+    results = []
+    for copies in (False, True):
+        weight = torch.nn.Parameter(torch.ones(5))
+        optimiser = ClippedAdam([weight], lr=0.1, max_norm=1.0)
+        for scale in (100.0, 0.1):
+            if copies:
+                optimiser = copied(optimiser)
+                (weight,) = optimiser.param_groups[0]["params"]
+            weight.grad = scale * torch.arange(1.0, 6.0)
+            optimiser.step()
+        results.append(weight.detach().clone())
+    torch.testing.assert_close(*results, rtol=0.0, atol=0.0)
 
 
 def test_a_device_that_is_not_there_is_refused(monkeypatch):

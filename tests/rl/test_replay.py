@@ -393,8 +393,14 @@ def test_an_empty_replay_can_be_saved_and_one_of_another_image_size_is_refused()
     for replay in (saved, restored):
         replay.extend(batch)
     assert (saved[:] == restored[:]).all()
+    with pytest.raises(ValueError, match="made with height=3, and this one with 64"):
+        make_replay(60, 64, 80, batch_size=8, n_step=3).load_state_dict(saved.state_dict())
+    older = saved.state_dict()
+    del older["_transforms"]["transforms.0._extra_state"]["made_with"]
+    restored.load_state_dict(older)
+    assert (saved[:] == restored[:]).all()
     with pytest.raises(ValueError, match="2 x 3 pixels, this one is for 80 x 64"):
-        make_replay(60, 64, 80, batch_size=8).load_state_dict(saved.state_dict())
+        make_replay(60, 64, 80, batch_size=8, n_step=3).load_state_dict(older)
 
 
 def test_only_images_that_were_stored_are_saved():
@@ -564,3 +570,32 @@ def test_images_go_on_where_a_collector_calls_its_last_step_truncated(frame_inte
     assert len(replay) == len(known)
     assert {bytes(stack.numpy()) for stack in known} == {bytes(stack.numpy()) for stack in replay[:]["depth"]}
     assert replay[:]["steps_to_next_obs"].max() == 2
+
+
+@pytest.mark.parametrize(
+    "changes", [{"capacity": 80}, {"n_step": 2}, {"frame_interval": 2}, {"inputs": ("depth", "heading", "command")}]
+)
+def test_the_state_of_another_replay_is_refused_and_changes_nothing(changes):
+    made_with = {"capacity": 50, "height": HEIGHT, "width": WIDTH, "batch_size": 4, "n_step": 3}
+    replay = make_replay(**made_with)
+    replay.extend(Environments(2).rollout(10))
+    other = make_replay(**made_with | changes)
+    before = other.state_dict()
+    name = next(iter(changes))
+    with pytest.raises(ValueError, match=rf"the saved replay was made with {name}=.*; make it with the same arguments"):
+        other.load_state_dict(replay.state_dict())
+    assert len(other) == 0
+    assert other.state_dict()["_storage"] == before["_storage"]
+
+
+def test_what_is_read_by_its_index_is_not_mirrored():
+    replay = make_replay(50, height=HEIGHT, width=WIDTH, batch_size=8, mirror=True)
+    replay.extend(Environments(2).rollout(12))
+    whole = replay[:]
+    for index in (0, 3, len(replay) - 1):
+        assert (replay[index] == whole[index]).all()
+        assert (replay[index : index + 1][0] == whole[index]).all()
+    sample = replay.sample()
+    assert "depth" in sample
+    stored = {tuple(row.flatten().tolist()) for row in whole["depth"][:, -1]}
+    assert not all(tuple(row.flatten().tolist()) in stored for row in sample["depth"][:4, -1])

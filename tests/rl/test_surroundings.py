@@ -288,6 +288,17 @@ def test_a_robot_keeps_its_memory_when_others_have_finished():
         torch.testing.assert_close(one, other, atol=1e-6, rtol=0)
 
 
+def test_what_is_too_near_to_be_measured_is_remembered_ahead():
+    """Its depth, "no return", is that of the camera itself, which sits behind the robot's centre."""
+    memory, pose = Surroundings(1, CAMERA), np.zeros((1, 3))
+    near = np.full((1, CAMERA.height, CAMERA.width), CAMERA.max_range)
+    near[..., CAMERA.width // 2 + 1] = 0.0  # of the columns that are remembered
+    memory.begin(near, pose)
+    told = memory.nearest(pose)[0]
+    assert np.flatnonzero(told < REACH).tolist() in ([SECTORS // 2 - 1], [SECTORS // 2])
+    assert told.min() == pytest.approx(CAMERA.blind_zone + CAMERA.mount_x, abs=0.01)
+
+
 @pytest.mark.parametrize(("height", "is_in_the_way"), [(0.42, False), (1.0, True)])
 def test_what_hangs_over_one_robot_is_in_the_way_of_a_taller_one(height, is_in_the_way):
     beam = {"box": {"at": [0.5, 0.0], "size": [0.2, 3.0], "base": 0.6, "height": 0.2}}
