@@ -28,6 +28,7 @@ from small_runs import tiny_config
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from torchrl.checkpoint import Checkpoint
 
+import rl.progress
 import rl.train
 from rl.background import COLLECTOR_SETTINGS, CollectorError
 from rl.checkpoints import Checkpoints, StateFile, find_damage, step_of
@@ -419,13 +420,15 @@ def test_ctrl_c_is_heeded_where_no_batch_is_left(tmp_path, uninterrupted, monkey
 
 def test_a_resumed_run_has_spent_the_time_of_the_evaluation_at_its_checkpoint(tmp_path, monkeypatch):
     settings = config(tmp_path / "run")
-    evaluate = rl.train._evaluate
+    evaluate, now, waited = rl.train._evaluate, time.perf_counter, 0.0
 
     def slowly(*arguments):
-        time.sleep(1.5)
+        nonlocal waited
+        waited += 1_000.0
         return evaluate(*arguments)
 
     monkeypatch.setattr(rl.train, "_evaluate", slowly)
+    monkeypatch.setattr(rl.progress.time, "perf_counter", lambda: now() + waited)
     with monkeypatch.context() as patch:
         interrupt_at(patch, update=9)
         with pytest.raises(KeyboardInterrupt):
@@ -436,7 +439,7 @@ def test_a_resumed_run_has_spent_the_time_of_the_evaluation_at_its_checkpoint(tm
     assert step_of(checkpoints[-2]) in evaluated
     said_by_training(settings, resume=True)
     rows = Run(settings.directory).evaluations.rows()
-    assert float(rows[-1]["seconds"]) > 1.5 * (len(rows) - 1)
+    assert [round(float(row["seconds"]), -3) for row in rows] == [1_000.0 * number for number in range(len(rows))]
 
 
 def test_what_has_been_learnt_needs_no_room_for_checkpoints(tmp_path, uninterrupted, monkeypatch):
