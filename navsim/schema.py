@@ -44,8 +44,8 @@ BEYOND_THE_SCHEMA = {
     "connected": "The robot can drive from every start to every goal; places that are drawn at random exist.",
     "motion": "Consecutive points of a path differ, and so do the two angles of a swing; what moves runs into nothing "
     "that stands, and no point of it is faster than 10 m/s; what can be pushed stands free.",
-    "yaml": "No key is given twice or left without a value; there are no tags; aliases stand for something; numbers "
-    "are finite.",
+    "yaml": "No key is given twice or left without a value; there are no tags but YAML's own; aliases stand "
+    "for something; numbers are finite.",
     "amounts": f"A file holds at most {MOST_VALUES} values, aliases replaced by what they stand for, and is no larger "
     f"than {LARGEST_FILE // 2**20} MiB; its polygons have at most {MOST_CORNERS_IN_ALL} corners in all; at most "
     f"{MOST_MOVABLE} obstacles move or can be pushed, and their ways have at most {MOST_SWEEPS} pieces; at most "
