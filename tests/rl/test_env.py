@@ -325,7 +325,7 @@ def test_a_state_of_an_environment_with_other_settings_changes_nothing(settings,
 def test_environments_of_torchrls_creator_drive_each_their_own_way(surroundings, shared):
     """It hands each of them parts of the state of one made to try it; ``ParallelEnv`` does so to lambdas."""
     creator = EnvCreator(
-        lambda: NavEnv("simple_train", 2, camera=CAMERA, surroundings=surroundings), share_memory=shared
+        lambda: NavEnv(World(size=(6, 6)), 2, camera=CAMERA, surroundings=surroundings), share_memory=shared
     )
     env = SerialEnv(2, creator)
     poses = env.reset()["pose"].reshape(-1, 3)
