@@ -141,10 +141,7 @@ class _StreamReplay(TensorDictReplayBuffer):
         Raises:
             ValueError: for the state of a replay that was made with other arguments; then nothing is changed.
         """
-        frames = self._transform[0]
-        state = {f"transforms.0.{name}": value for name, value in frames.state_dict().items()}
-        for name in state:
-            frames.refuse_another(state_dict["_transforms"][name])
+        self._transform[0].refuse_another(state_dict["_transforms"]["transforms.0._extra_state"])  # as modules name it
         super().load_state_dict(state_dict)
 
     def empty(self, empty_write_count: bool = True) -> None:
