@@ -51,7 +51,7 @@ class MirroredHalf(Transform):
     """
 
     at_rest = False
-    """Whether it leaves everything as it is for now."""
+    """While it is set, records pass unmirrored: those that are read by their index, see ``rl.replay``."""
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         if self.at_rest or not tensordict.batch_dims:
