@@ -282,8 +282,8 @@ def figures(finished: Sequence[dict[str, Any]]) -> Iterable[tuple[str, Figure]]:
 _CAPTIONS = {
     1: "rewards of episodes while training in the simple room: means of each 4,000 steps; thin: each seed",
     2: "rewards of episodes while training in the complex room: means of each 4,000 steps; thin: each seed",
-    3: "greatest Q-values of states while training in the simple room: means of what was learnt from; thin: each seed",
-    4: "greatest Q-values of states while training in the complex room: means of what was learnt from; thin: each seed",
+    3: "greatest Q-values while training in the simple room: means over states of a random drive; thin: each seed",
+    4: "greatest Q-values while training in the complex room: means over states of a random drive; thin: each seed",
     5: "goals reached in each evaluation room after training in the room of its kind: means, each seed (circles), and "
     "what the thesis reports (dashed)",
     6: "goals reached in the evaluation room of the kind trained in, by steps of training: each seed; dashed: simple",

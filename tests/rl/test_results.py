@@ -98,6 +98,5 @@ def test_baselines_are_driven_once(tmp_path, monkeypatch):
     assert "Not run yet" not in page
     assert "### Table 6.1" in page
     assert (
-        "Figure 6.4: greatest Q-values of states while training in the complex room: means of what was learnt from"
-        in page
+        "Figure 6.4: greatest Q-values while training in the complex room: means over states of a random drive" in page
     )
