@@ -54,6 +54,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # TorchRL would tell of every buffer that it allocates
+    # PyTorch's threads would spin until the last of them is done, which can be long where others want the cores as well
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     try:
         status = _status_of(arguments)
         sys.stdout.flush()

@@ -71,12 +71,12 @@ def finished(room: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return directory
 
 
-def process(arguments: Sequence[str], directory: Path) -> subprocess.Popen[str]:
+def process(arguments: Sequence[str], directory: Path, **variables: str) -> subprocess.Popen[str]:
     paths = [str(REPOSITORY), *filter(None, [os.environ.get("PYTHONPATH")])]
     return subprocess.Popen(
         [sys.executable, "-m", "rl.cli", *arguments],
         cwd=directory,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(paths), "OMP_NUM_THREADS": "1"},
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(paths), "OMP_NUM_THREADS": "1"} | variables,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -482,6 +482,17 @@ def test_help_does_without_what_takes_long_to_import():
     code = "import sys; from rl.cli import main; main(['--help']); print({'torch', 'pydantic'} & {*sys.modules})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=REPOSITORY)
     assert done.stdout.splitlines()[-1] == "set()"
+
+
+@pytest.mark.parametrize("chosen, spins", [({}, "0"), ({"OMP_WAIT_POLICY": "ACTIVE"}, r"\d{6,}")])
+def test_threads_of_pytorch_sleep_while_they_wait_unless_told_otherwise(room, tmp_path, chosen, spins):
+    arguments = ["evaluate", "straight", "--world", str(room)]
+    command = process(arguments, tmp_path, OMP_DISPLAY_ENV="verbose", **chosen)
+    told = command.communicate()[1]
+    if "GOMP_" not in told:
+        pytest.skip("PyTorch's threads are not GNU's here, and do not tell how long they spin")
+    assert re.search(rf"GOMP_SPINCOUNT = '{spins}'", told)
+    assert command.returncode == 0
 
 
 def test_the_version_is_that_of_the_package(capsys):
