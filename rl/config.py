@@ -190,7 +190,8 @@ class Learning:
     device: Literal["cpu", "cuda"] = "cpu"
     """Where the learner's networks are; robots are simulated, and their policy evaluated, on the CPU."""
     num_threads: int = 2
-    """CPU threads for the learner's networks; an asynchronous collector has one of its own besides."""
+    """CPU threads for the learner's networks; an asynchronous collector has one of its own besides; 1 is the
+    faster where another program keeps a core busy."""
 
 
 @dataclass(frozen=True)
