@@ -75,6 +75,8 @@ _SEEDS_TO_BE_NAMED = 3
 """That a row needs to have a colour of its own among the curves."""
 _STYLES = [(dashes, colour) for dashes in ("-", "--", ":") for colour in map(matplotlib.colormaps["tab10"], range(10))]
 """Lines that are told apart."""
+_BOTH_MODELS: tuple[tuple[str, str, dict[str, Any]], ...] = (("", "", {}), ("S-", "D3QN-S, ", {"model": "S"}))
+"""What stands before a row's name, what before its description, and settings."""
 _ALONE: dict[str, Any] = {"symmetric": False}
 _PLAIN_RETURNS: dict[str, Any] = {"n_step": 5, "epsilon_end": 0.3}
 _PLAIN_ROOMS: dict[str, Any] = {"margin": 0.0, **_rooms()}
@@ -138,14 +140,17 @@ ROWS: dict[str, Row] = {
             {**settings, **_PLAIN_ROOMS, "task": Task(length_penalty=penalty)},
             "fast",
         )
-        for prefix, model, settings in (("", "", {}), ("S-", "D3QN-S, ", {"model": "S"}))
+        for prefix, model, settings in _BOTH_MODELS
         for penalty in (0.3, 0.6)
     },
-    "fast-plain-length-0.3-longer": Row(
-        f"preset fast, {_PLAIN_WORLD}, where a metre costs 0.3, 300,000 steps",
-        {**_THRICE_AS_LONG, **_PLAIN_ROOMS, "task": Task(length_penalty=0.3)},
-        "fast",
-    ),
+    **{
+        f"{prefix}fast-plain-length-0.3-longer": Row(
+            f"preset fast, {model}{_PLAIN_WORLD}, where a metre costs 0.3, 300,000 steps",
+            {**settings, **_THRICE_AS_LONG, **_PLAIN_ROOMS, "task": Task(length_penalty=0.3)},
+            "fast",
+        )
+        for prefix, model, settings in _BOTH_MODELS
+    },
     "S-fast-plain-glorot": Row(
         f"preset fast, D3QN-S, {_PLAIN_WORLD}, weights for the heading begin as all others",
         {"model": "S", "heading_init": "glorot", **_PLAIN_ROOMS},
