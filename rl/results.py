@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from rich.console import Console
 
+from navsim.errors import counted
 from navsim.files import atomic_write
 from rl.ablations import COMPLEX, PLACES, ROWS, UNSEEN, UNSEEN_PATHS, rates_of
 from rl.baselines import BASELINES, make_baseline
@@ -48,8 +49,11 @@ AIMS = (
     Aim("best variant", VARIANT, UNSEEN, "–", "90", 97),
     Aim("the same, D3QN-S", f"S-{VARIANT}", UNSEEN, "–", "–", 97),
 )
+SHORT_WAYS = "fast-plain-length-0.3-longer"
+"""The row of those who were taught what a metre costs, and longest."""
 _INPUTS = (("blind", "D3QN-I, heading only"), ("depth-only", "D3QN-I, depth only"))
 _TIMED = (("D3QN-I", "base"), ("D3QN-S", "S"), ("best variant", VARIANT), ("its D3QN-S", f"S-{VARIANT}"))
+_SHORT_NAMES = {COMPLEX: "`complex_eval`", UNSEEN: "the unseen rooms"}
 _NAMES = {COMPLEX: "`complex_eval`, 100 paths", UNSEEN: f"200 unseen rooms, {UNSEEN_PATHS:,} paths"}
 
 _NOT_RUN = "Not run yet: `python scripts/reproduce.py`, whose `--help` tells how long that takes.\n"
@@ -141,6 +145,7 @@ def results_page(
         "SPL should be at least 0.93 of success, which no trained robot reaches. The planning oracle, which has the",
         f"map and drives by the same rules, has {of_complex} in `complex_eval` and {of_unseen} in the unseen rooms;",
         "[measurements.md](measurements.md#where-paths-are-longer-than-they-need-be) tells where it is lost.",
+        *_short_ways(by_row),
         *_networks_alone(by_row),
         "",
         f"The best variant is `{VARIANT}`, which `make train` trains: D3QN-I, {ROWS[VARIANT].what}.",
@@ -203,6 +208,21 @@ def _measured(runs: Sequence[dict[str, Any]], place: str) -> list[str]:
         ", ".join(f"{rate:.1f}" if place == UNSEEN else f"{rate:.0f}" for rate in rates),
         f"{mean - min(rates):.1f}",
         f"{spl / mean:.2f}" if mean else "–",
+    ]
+
+
+def _short_ways(by_row: dict[str, list[dict[str, Any]]]) -> list[str]:
+    """How near the robots come to it that learnt what a metre costs, as symmetric policies."""
+    runs = [run["symmetric"] for run in by_row[SHORT_WAYS] if "symmetric" in run]
+    if not runs:
+        return []
+    told = []
+    for place in (COMPLEX, UNSEEN):
+        rate, spl = (statistics.fmean(run[place][key] for run in runs) for key in ("success_rate", "spl"))
+        told.append(f"{spl / rate:.3f} of {100 * rate:.1f}% in {_SHORT_NAMES[place]}")
+    return [
+        f"Where a metre costs something, it is {' and '.join(told)} (row `{SHORT_WAYS}`, {counted(len(runs), 'seed')},",
+        "as symmetric policies).",
     ]
 
 
