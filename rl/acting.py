@@ -7,14 +7,15 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 
 
 def answered(answer: Any, count: int) -> TensorDictBase:
-    """What a policy says of ``count`` robots; one that returns a tensor alone returns actions."""
-    if isinstance(answer, torch.Tensor):
-        answer = {"action": answer}
+    """What a policy says of ``count`` robots; one that returns a tensor or an array alone returns actions."""
+    if isinstance(answer, torch.Tensor | np.ndarray):
+        answer = {"action": torch.as_tensor(answer)}
     if isinstance(answer, Mapping):
         answer = TensorDict(dict(answer), [count])
     if not isinstance(answer, TensorDictBase):

@@ -18,6 +18,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from navsim.camera import DepthCamera
 from navsim.dynamics import dynamic_obstacles
+from navsim.errors import counted
 from navsim.planner import shortest_path_length
 from navsim.randomization import Randomization
 from navsim.robot import ACTIONS, TURTLEBOT2, Action, Robot
@@ -339,6 +340,11 @@ def _drive(
             state.update(answer.to("cpu"))
             if state.get("action", None) is None:
                 raise ValueError(f'the policy gave no "action", only {", ".join(map(str, answer.keys()))}')
+            if state["action"].numel() != len(running):
+                raise ValueError(
+                    f"the policy gave actions of shape {tuple(state['action'].shape)} for "
+                    f"{counted(len(running), 'robot')}; an action is one integer, its index in navsim.robot.ACTIONS"
+                )
             actions = state["action"].reshape(-1).numpy()
             moved = simulator.step(actions)
             ended = moved.terminated | moved.truncated

@@ -12,7 +12,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase, TensorDictParams
 from tensordict.nn import TensorDictModule, dispatch
 from torch import Tensor, nn
-from torchrl.modules import QValueActor
+from torchrl.modules import QValueActor, set_recurrent_mode
 from torchrl.objectives import DQNLoss, ValueEstimators, distance_loss
 
 from rl.joint import hidden_of_update
@@ -33,8 +33,9 @@ class D3QNLoss(DQNLoss):
     With a ``D3QN``, what ``DQNLoss`` spends beside the network (copies of tensordicts, ``step_mdp``, actions nobody
     reads, gradients through nothing) is gone, and ``rl.joint.hidden_of_update`` passes s and s' through it in fewer
     products. Networks of another kind are called as ``DQNLoss`` calls them, but for the state of recurrent ones: what
-    they remember in s' is what was recorded under ``next``, where ``DQNLoss`` begins a sequence of s' with what the
-    call for s has just written there.
+    they remember in s' is what was recorded under ``next``, each time, where ``DQNLoss`` makes a sequence of all s',
+    across episodes' ends, and begins it with what the call for s has just written there. The s of a batch are a
+    sequence to both, along its last dimension: transitions that do not follow one another are given as ``(B, 1)``.
 
     Like ``DQNLoss``, it writes the squared error into the tensordict as ``td_error``, ``(B, 1)``, the priority of
     prioritised replay, and weighs samples by their ``priority_weight`` if they have one. Unlike it, it also writes
@@ -163,13 +164,18 @@ class D3QNLoss(DQNLoss):
         before = tensordict.select(*actor.in_keys, strict=False)
         after = tensordict.get("next").select(*actor.in_keys, strict=False)
         chosen = after.copy()
-        with self.value_network_params.to_module(actor, preserve_module_state=False):
-            actor(before)
-            if self.double_dqn:
-                with torch.no_grad():
-                    actor(chosen)
-        with torch.no_grad(), self.target_value_network_params.to_module(actor, preserve_module_state=False):
-            actor(after)
+        try:
+            with self.value_network_params.to_module(actor, preserve_module_state=False):
+                actor(before)
+                if self.double_dqn:
+                    with torch.no_grad(), set_recurrent_mode(False):
+                        actor(chosen)
+            target_weights = self.target_value_network_params.to_module(actor, preserve_module_state=False)
+            with torch.no_grad(), set_recurrent_mode(False), target_weights:
+                actor(after)
+        except KeyError:
+            self._observations(tensordict)  # tells what the network sees and the batch lacks
+            raise
         target_value = after.get(keys.action_value)
         action = (chosen if self.double_dqn else after).get(keys.action)
         action = action.unsqueeze(-1) if action.ndim < target_value.ndim else action

@@ -34,6 +34,8 @@ NUM_FRAMES = 4
 def check_inputs(inputs: Collection[str]) -> None:
     """Raises :class:`ValueError` unless a network can see these, in one sentence."""
     known = get_args(Input)
+    if isinstance(inputs, str):
+        raise ValueError(f"inputs must be several names, such as ({inputs!r},); got the text {inputs!r}")
     if set(inputs) - set(known) or not {"depth", "heading"} & set(inputs):
         raise ValueError(
             f"inputs must be some of {', '.join(known)}, depth or heading among them; got {', '.join(inputs) or 'none'}"

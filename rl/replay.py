@@ -21,6 +21,7 @@ from torchrl.data import LazyTensorStorage, PrioritizedSampler, RandomSampler, T
 from torchrl.data.replay_buffers.storages import Storage
 from torchrl.envs.transforms import Compose, MultiStepTransform, Transform
 
+from navsim.errors import counted
 from rl.mirror import MirroredHalf
 from rl.observation import DEPTH_AND_HEADING, NUM_FRAMES, Input, check_inputs, history_length, keys_of
 
@@ -48,7 +49,8 @@ def make_replay(
     """TorchRL's replay buffer for ``NavEnv``'s transitions, with shared images.
 
     ``extend`` takes what one collector yields, batches ``(N, T)`` of the same N environments and T steps, in order (not
-    those of TorchRL's ``MultiAsyncCollector``, whose workers take turns; ``MultiSyncCollector``'s are); ``sample``
+    those of TorchRL's ``MultiAsyncCollector``, whose workers take turns; ``MultiSyncCollector``'s are, which
+    ``Collector(..., num_collectors=n)`` is with ``sync=True``, with ``cat_results`` "stack" or 0); ``sample``
     returns ``batch_size`` transitions with the keys ``depth``, ``heading``, ``action``, ``steps_to_next_obs``,
     ``index`` and ``next``: ``depth``, ``heading``, ``reward``, ``done``, ``terminated``; what ``inputs`` names besides,
     of both states; if prioritised, also ``priority_weight``. The last ``n_step`` steps of each environment wait until
@@ -316,6 +318,8 @@ class SharedFrames(MultiStepTransform):
         tensordict = tensordict.copy()  # what is read as a whole is the storage itself
         for key in ("depth", ("next", "depth")):
             tensordict.set(key, torch.from_numpy(self._frames[tensordict.get(key).numpy()]))
+        # As rewards have it, which losses of several values a state raise discounts for.
+        tensordict.set("steps_to_next_obs", tensordict.get("steps_to_next_obs").unsqueeze(-1))
         return tensordict
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase | None:
@@ -366,8 +370,8 @@ class SharedFrames(MultiStepTransform):
                 f"the replay is for depth images of shape {wanted} (frames, height, width); got "
                 f"{tuple(depth.shape[-3:])}: give make_replay the height and width of the environment's camera"
             )
-        if steps.ndim == 1 and len(steps) > 1:
-            _refuse_one_step_of_many(steps)
+        if steps.shape[-1] > 1:
+            _refuse_other_orders(steps)
 
     def _number(
         self,
@@ -495,14 +499,27 @@ class SharedFrames(MultiStepTransform):
                 )
 
 
-def _refuse_one_step_of_many(steps: TensorDictBase) -> None:
-    """Raises ValueError for steps ``(T,)`` of which none goes on where the one before it, or an episode, ended."""
-    goes_on = (steps["heading"][1:] == steps["next", "heading"][:-1]) | steps["next", "done"][:-1]
-    if not goes_on.any():
+def _refuse_other_orders(steps: TensorDictBase) -> None:
+    """Raises ValueError for steps ``(T,)`` of which none goes on where the one before it, or an episode, ended, and for
+    those ``(..., N, T)`` of which this is so as well, and which do so in the order of N."""
+    if _go_on(steps).any():
+        return
+    if steps.ndim == 1:
         raise ValueError(
             f"of {len(steps)} steps in a row none goes on where the one before it ended: they look like one step of "
             f"{len(steps)} environments; give batches (N, T), this one as extend(step.unsqueeze(-1))"
         )
+    if steps.shape[-2] > 1 and _go_on(steps.transpose(-1, -2)).all():
+        raise ValueError(
+            f"a batch of shape {tuple(steps.shape)} looks like {counted(steps.shape[-2], 'step')} of "
+            f"{counted(steps.shape[-1], 'environment')}: give batches (N, T), as torch.stack(steps, -1) makes them"
+        )
+
+
+def _go_on(steps: TensorDictBase) -> Tensor:
+    """Which steps ``(..., T)`` go on where those before them ended, or follow an episode's end: ``(..., T - 1, 1)``."""
+    headings, next_headings = steps["heading"], steps["next", "heading"]
+    return (headings[..., 1:, :] == next_headings[..., :-1, :]) | steps["next", "done"][..., :-1, :]
 
 
 def _same(one: np.ndarray, other: np.ndarray, leading: int) -> np.ndarray:

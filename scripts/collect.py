@@ -13,6 +13,7 @@ import tempfile
 from functools import partial
 from pathlib import Path
 
+import torch
 import tyro
 from rich.progress import track
 from tensordict import TensorDict
@@ -32,19 +33,25 @@ def collect(
         batches: Batches to collect, each of 16 steps of every robot.
         num_envs: Robots that one environment simulates together.
         processes: Processes that collect side by side, each with an environment; 0 collects in this one.
-        seed: Seed of starts and goals.
+        seed: Seed of starts, goals and actions.
     """
     if out.exists():
         raise ValueError(f"{out} is there already; move it away, or choose another directory (--out)")
-    if batches < 1:
-        raise ValueError(f"--batches must be at least 1; got {batches}")
+    least = {"batches": (batches, 1), "num-envs": (num_envs, 1), "processes": (processes, 0), "seed": (seed, 0)}
+    for name, (value, at_least) in least.items():
+        if value < at_least:
+            raise ValueError(f"--{name} must be at least {at_least}; got {value}")
+    torch.manual_seed(seed)
     create_env = [partial(NavEnv, world, num_envs, seed=seed + i) for i in range(max(1, processes))]
     collector = Collector(
         create_env if processes else create_env[0],
         num_collectors=processes or None,
+        sync=True if processes else None,
         frames_per_batch=(size := 16 * num_envs * len(create_env)),
         total_frames=batches * size,
     )
+    if processes:
+        collector.set_seed(seed)  # of the processes' actions, too
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as unfinished:
         dataset: TensorDict | None = None
@@ -64,3 +71,5 @@ if __name__ == "__main__":
         tyro.cli(collect)
     except (OSError, ValueError) as error:  # a WorldError is one
         sys.exit(str(error))
+    except KeyboardInterrupt:
+        sys.exit("interrupted; nothing is kept")

@@ -22,6 +22,7 @@ from torchrl.modules import EGreedyModule
 from torchrl.objectives import SoftUpdate
 
 from navsim import WorldError
+from navsim.worldsource import worlds_from
 from rl import D3QNLoss, NavEnv, evaluate, make_q_actor, make_replay
 
 
@@ -46,6 +47,10 @@ def learn(
     """
     if out.is_dir():
         raise SystemExit(f"{out} is a directory; --out names the file to write weights to, such as {out / 'actor.pt'}")
+    for name, value, at_least in (("steps", steps, 1), ("num-envs", num_envs, 1), ("seed", seed, 0)):
+        if value < at_least:
+            raise SystemExit(f"--{name} must be at least {at_least}; got {value}")
+    worlds_from(eval_world)  # what is wrong with it is told before the training, not after
     out.parent.mkdir(parents=True, exist_ok=True)
     torch.set_flush_denormal(True)  # else Adam gets slower as units fall silent: docs/performance.md
     torch.manual_seed(seed)

@@ -15,6 +15,7 @@ from torchrl.data import ReplayBuffer, TensorStorage
 from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss
 
+from navsim import WorldError
 from rl import D3QNLoss, NavEnv, make_q_actor, make_replay
 
 REPOSITORY = Path(__file__).parents[1]
@@ -86,6 +87,23 @@ def test_a_dataset_is_never_half_and_never_overwritten(tmp_path, monkeypatch):
         collect(tmp_path / "dataset", **options)
     with pytest.raises(ValueError, match="--batches must be at least 1; got 0"):
         collect(tmp_path / "other", **options | {"batches": 0})
+    with pytest.raises(ValueError, match="--seed must be at least 0; got -1"):
+        collect(tmp_path / "other", **options | {"seed": -1})
+
+
+@pytest.mark.parametrize("processes", [0, pytest.param(2, marks=pytest.mark.slow)])
+def test_a_seed_collects_the_same_again(tmp_path, processes):
+    options = ["--batches", "2", "--num-envs", "2", "--processes", str(processes), "--world", "simple_eval"]
+    for name, seed in (("one", "5"), ("again", "5"), ("other", "6")):
+        if processes:
+            run_script("collect.py", "--out", name, "--seed", seed, *options, directory=tmp_path).check_returncode()
+        else:
+            torch.seed()
+            run_script_here("collect.py", "--out", name, "--seed", seed, *options, directory=tmp_path)
+    one, again, other = (TensorDict.load_memmap(tmp_path / name) for name in ("one", "again", "other"))
+    for key in ("pose", "action"):
+        assert (one[key] == again[key]).all()
+        assert (one[key] != other[key]).any()
 
 
 def test_a_loop_of_ones_own_learns_and_leaves_its_weights(tmp_path, capsys, recwarn):
@@ -136,6 +154,18 @@ def test_a_misspelt_world_is_told_in_a_sentence(name, tmp_path, monkeypatch):
         SystemExit, match=r"^complex_trian: there is no such world file; did you mean 'complex_train'\?$"
     ):
         runpy.run_path(str(REPOSITORY / "scripts" / name), run_name="__main__")
+
+
+def test_a_loop_of_ones_own_tells_before_it_learns_what_it_cannot_do(tmp_path, capsys):
+    script = runpy.run_path(str(REPOSITORY / "scripts" / "own_loop.py"))
+    with pytest.raises(WorldError, match="complex_evil: there is no such world file"):
+        script["learn"](tmp_path / "own.pt", eval_world="complex_evil")
+    for name, value, least in (("steps", 0, 1), ("num_envs", 0, 1), ("seed", -1, 0)):
+        option = name.replace("_", "-")
+        with pytest.raises(SystemExit, match=f"--{option} must be at least {least}; got {value}"):
+            script["learn"](tmp_path / "own.pt", **{name: value})
+    assert not list(tmp_path.iterdir())
+    assert "learning" not in capsys.readouterr().out
 
 
 def test_a_directory_is_no_file_for_weights(tmp_path):

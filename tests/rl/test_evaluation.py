@@ -484,8 +484,11 @@ def test_policies_may_return_their_action_alone_or_nothing():
     def mapping(state):
         return {"action": tensor(state)}
 
+    def array(state):
+        return tensor(state).numpy()
+
     expected = evaluate(straight, "simple_eval", num_paths=4).paths
-    for policy in (alone, nothing, tensor, mapping):
+    for policy in (alone, nothing, tensor, mapping, array):
         for path, other in zip(evaluate(policy, "simple_eval", num_paths=4).paths, expected, strict=True):
             np.testing.assert_array_equal(path.trajectory, other.trajectory)
 
@@ -496,6 +499,10 @@ def test_policies_may_return_their_action_alone_or_nothing():
         ("pretrained:I", r"evaluate takes a policy; got 'pretrained:I': give rl\.load_policy"),
         (lambda state: None, 'the policy gave no "action", only depth, heading, command, pose, is_init$'),
         (lambda state: 1, "a policy must return a tensordict or the actions; got int"),
+        (
+            lambda state: torch.nn.functional.one_hot(torch.zeros(len(state), dtype=torch.int64), 7),
+            r"the policy gave actions of shape \(\d+, 7\) for \d+ robots?; an action is one integer",
+        ),
     ],
 )
 def test_what_is_no_policy_is_told_so(policy, message):

@@ -12,7 +12,7 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import nn
 from torchrl.data import Categorical, OneHot
-from torchrl.modules import QValueActor
+from torchrl.modules import GRUModule, QValueActor, set_recurrent_mode
 from torchrl.objectives import DQNLoss, HardUpdate, SoftUpdate, ValueEstimators
 
 from rl.loss import D3QNLoss, fastest_autocast
@@ -398,6 +398,43 @@ def test_what_a_network_lacks_is_named():
     data["command"] = torch.zeros(8, 2)
     with pytest.raises(ValueError, match='sees command, which the batch lacks in "next"'):
         D3QNLoss(actor)(data)
+
+
+def test_what_a_network_of_ones_own_lacks_is_named():
+    layer = nn.Linear(3, 7)
+    network = TensorDictModule(
+        lambda heading, command: layer(torch.cat([heading, command], dim=-1)), ["heading", "command"], ["action_value"]
+    )
+    with pytest.raises(ValueError, match="sees command, which the batch lacks in its observation"):
+        D3QNLoss(QValueActor(network, spec=Categorical(7)))(transitions(8))
+
+
+def test_what_a_recurrent_network_remembers_in_the_next_state_is_what_was_recorded_there():
+    torch.manual_seed(0)
+    memory = GRUModule(input_size=1, hidden_size=7, in_key="heading", out_key="action_value")
+    actor = QValueActor(TensorDictSequential(memory), spec=Categorical(7))
+    data, gamma = transitions(3 * 6).reshape(3, 6), 0.9  # of which a third have ended an episode
+    data["is_init"] = torch.zeros(3, 6, 1, dtype=torch.bool)
+    data["is_init"][:, 1:] = data["next", "done"][:, :-1]
+    data["next", "is_init"] = torch.zeros(3, 6, 1, dtype=torch.bool)
+    for state in (data, data["next"]):
+        state["recurrent_state"] = torch.randn(3, 6, 1, 7)
+
+    def alone(state):
+        """Of each state by itself, with what was recorded in it."""
+        seen = state.select("heading", "is_init", "recurrent_state").reshape(-1).clone()
+        return actor(seen)["action_value"].reshape(3, 6, 7)
+
+    after = data["next"]
+    with torch.no_grad():
+        worth = alone(after).max(-1, keepdim=True).values  # both networks are the same one
+        wanted = after["reward"] + gamma * (~after["terminated"]) * worth
+        with set_recurrent_mode(True):
+            values = actor(data.clone())["action_value"]  # a sequence, with memory that each episode begins anew
+    chosen = values.gather(-1, data["action"].unsqueeze(-1))
+    told = data.clone()
+    D3QNLoss(actor, gamma=gamma)(told)
+    torch.testing.assert_close(told["td_error"], (chosen - wanted).square())
 
 
 def test_a_symmetry_that_is_switched_on_counts_at_once():

@@ -133,7 +133,7 @@ class NaiveReplay:
             if last["next", "done"]:
                 break
         after = {key: last[key] for key in KEYS if key[0] == "next"}
-        return {**steps[0], **after, ("next", "reward"): reward, "steps_to_next_obs": np.array(count)}
+        return {**steps[0], **after, ("next", "reward"): reward, "steps_to_next_obs": np.array([count])}
 
     def read(self) -> TensorDict:
         rows = [self.ring[index] for index in range(len(self.ring))]
@@ -305,7 +305,7 @@ def test_torchrl_alone_bootstraps_from_terminal_steps_and_the_replay_does_not():
     replay.extend(batch)
     replay.extend(world.rollout(3))
     assert replay[:]["next", "terminated"].flatten().tolist() == [True, True, True]
-    assert replay[:]["steps_to_next_obs"].tolist() == [3, 2, 1]
+    assert replay[:]["steps_to_next_obs"].tolist() == [[3], [2], [1]]
 
 
 def test_fifty_thousand_transitions_fit_in_350_megabytes_and_large_images_in_1200():
@@ -487,6 +487,10 @@ def test_data_that_cannot_be_stored_is_refused():
         replay.extend(Environments(2).rollout(3).set("depth", torch.zeros(2, 3, 4, HEIGHT, WIDTH, dtype=torch.uint8)))
     with pytest.raises(ValueError, match=r"look like one step of 4 environments; .*extend\(step.unsqueeze\(-1\)\)"):
         make_replay(10, HEIGHT, WIDTH, batch_size=2).extend(Environments(4, end_probability=0.0).rollout(1)[:, 0])
+    with pytest.raises(
+        ValueError, match=r"\(5, 3\) looks like 5 steps of 3 environments: .* as torch.stack\(steps, -1\)"
+    ):
+        make_replay(10, HEIGHT, WIDTH, batch_size=2).extend(Environments(3).rollout(5).transpose(0, 1))
     with pytest.raises(RuntimeError, match="SharedFrames keeps replay-buffer write state"):
         make_replay(10, HEIGHT, WIDTH, batch_size=2).share()
     apart = make_replay(10, HEIGHT, WIDTH, batch_size=2, frame_interval=2)
@@ -501,6 +505,8 @@ def test_data_that_cannot_be_stored_is_refused():
 def test_what_does_not_fit_the_replay_is_told():
     with pytest.raises(ValueError, match="inputs must be some of depth, heading"):
         make_replay(100, batch_size=8, inputs=("depth", "heading", "surrounding"))
+    with pytest.raises(ValueError, match=r"inputs must be several names, such as \('depth',\); got the text 'depth'"):
+        make_replay(100, batch_size=8, inputs="depth")
     with pytest.raises(ValueError, match="half of each sample cannot be mirrored where it is of 1"):
         make_replay(100, batch_size=1, mirror=True)
     batch = Environments(2).rollout(3)
