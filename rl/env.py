@@ -52,8 +52,9 @@ class NavEnv(EnvBase):
     Finished robots are reset one by one through ``"_reset"``, as every TorchRL collector does; ``reset(paths=...)``
     begins the episodes that ``Simulator.reset`` names so. Robots that ``"_step"`` leaves out, as
     ``rollout(..., break_when_all_done=True)`` does with those that have arrived, stay as they are; TorchRL then repeats
-    their last steps, rewards and all, which neither sums nor a replay should count. To act less often, give ``task`` a
-    longer ``control_period``: ``FrameSkipTransform`` goes on after an episode's end.
+    their last steps, rewards and all, which neither sums nor a replay should count, and cannot do so in its
+    ``SerialEnv`` and ``ParallelEnv`` of environments of several robots. To act less often, give ``task`` a longer
+    ``control_period``: ``FrameSkipTransform`` goes on after an episode's end.
 
     Args:
         world: a world, the path of a world file (or the name of a shipped one), or generated rooms such as

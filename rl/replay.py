@@ -9,6 +9,7 @@ puts image numbers in place of images on the way in and looks the images up on t
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator
 from typing import Any
 
@@ -312,6 +313,8 @@ class SharedFrames(MultiStepTransform):
         }
         self._current: np.ndarray | None = None
         self._running: np.ndarray | None = None
+        self._times_lost = 0
+        """Batches in a row that went on with no episode of the one before."""
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Looks up the images of records that were read from the storage."""
@@ -350,12 +353,17 @@ class SharedFrames(MultiStepTransform):
         """Raises ValueError for what is no batch of streams of transitions with images of the replay's size."""
         if not steps.ndim:
             raise ValueError("a transition alone has no place in a stream; give batches (N, T), or (T,), to extend")
+        if -1 in steps.shape:  # a lazy stack of different ones
+            raise ValueError(
+                f"of a batch of shape {tuple(steps.shape)} not all parts are alike: let each of a collector's "
+                "environments have as many robots (num_envs) as the others, or extend a replay of its own with each"
+            )
         mask = steps.get(("collector", "mask"), None)
         if mask is not None and not mask.all():
             raise ValueError(
                 f"of {mask.numel()} steps {mask.numel() - int(mask.sum())} are padding after episodes' ends, no "
-                "transitions: give the collector this replay (replay_buffer=), or have it yield batches (N, T) as they "
-                "come, without trajs_per_batch and split_trajs"
+                "transitions: have the collector yield batches (N, T) as they come, without split_trajs and "
+                "preemptive_threshold, and give one with trajs_per_batch this replay (replay_buffer=)"
             )
         if missing := [key for key in self._keys if key not in steps.keys(include_nested=True)]:
             raise ValueError(f"transitions need {missing[0]!r}; a collector leaves it out with compact_obs=True")
@@ -407,6 +415,7 @@ class SharedFrames(MultiStepTransform):
         if self._buffer is not None:
             continues[:, 0] &= _same(heading[:, 0], self._buffer["next", "heading"][:, -1].numpy(), leading=1)
         self._mark_cut(self._running & ~continues[:, 0])
+        lost = self._running.any() and not continues[:, 0].any()
         continues[:, 1:] = _same(depth[:, 1:], next_depth[:, :-1], leading=2)
         continues[:, 1:] &= _same(heading[:, 1:], next_heading[:, :-1], leading=2)
         done[:, :-1] |= ~continues[:, 1:]
@@ -417,7 +426,16 @@ class SharedFrames(MultiStepTransform):
         if self._interval > 1 and fresh[:, 1:].any():
             raise ValueError(
                 f"a stream of steps begins with images that differ, and what lies between them, with {self._interval} "
-                "steps from one to the next, is not known; begin with an episode's first step"
+                "steps from one to the next, is not known; begin with an episode's first step, and give a collector "
+                "of several processes sync=True, else they take turns"
+            )
+        # Once, after a collector's reset or a run's interruption, is what may be.
+        self._times_lost = self._times_lost + 1 if lost and fresh[:, 1:].any() else 0
+        if self._times_lost == 2:
+            warnings.warn(
+                "two batches in a row begin in the midst of episodes that are not those of the batch before, so that "
+                "every batch's end cuts returns off; if a collector of several processes makes them, give it sync=True",
+                stacklevel=2,
             )
         new = self._frames.reserve(n * t + np.count_nonzero(fresh), self._held)
         newest, first = new[: n * t].reshape(n, t), new[n * t :]

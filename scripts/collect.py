@@ -8,6 +8,7 @@ A transition takes 41 kB on disk. The dataset is read where it lies, as memory-m
     replay = ReplayBuffer(storage=TensorStorage(transitions), batch_size=64)
 """
 
+import signal
 import sys
 import tempfile
 from functools import partial
@@ -67,6 +68,7 @@ def collect(
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # so that nothing half done is left behind then, either
     try:
         tyro.cli(collect)
     except (OSError, ValueError) as error:  # a WorldError is one

@@ -50,7 +50,7 @@ def learn(
     for name, value, at_least in (("steps", steps, 1), ("num-envs", num_envs, 1), ("seed", seed, 0)):
         if value < at_least:
             raise SystemExit(f"--{name} must be at least {at_least}; got {value}")
-    worlds_from(eval_world)  # what is wrong with it is told before the training, not after
+    rooms = worlds_from(eval_world)  # what is wrong with it is told before the training, not after
     out.parent.mkdir(parents=True, exist_ok=True)
     torch.set_flush_denormal(True)  # else Adam gets slower as units fall silent: docs/performance.md
     torch.manual_seed(seed)
@@ -78,7 +78,7 @@ def learn(
             target.step()
 
     torch.save(actor.state_dict(), out)
-    print(f"{evaluate(actor, eval_world).success_rate:.0%} of goals reached in {eval_world}; weights in {out}")
+    print(f"{evaluate(actor, rooms).success_rate:.0%} of goals reached in {eval_world}; weights in {out}")
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ import os
 import runpy
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -22,15 +23,14 @@ REPOSITORY = Path(__file__).parents[1]
 
 
 def run_script(name: str, *arguments: str, directory: Path) -> subprocess.CompletedProcess[str]:
+    command, environment = command_of(name, *arguments)
+    return subprocess.run(command, cwd=directory, env=environment, capture_output=True, text=True, timeout=120)
+
+
+def command_of(name: str, *arguments: str) -> tuple[list[str], dict[str, str]]:
     paths = [str(REPOSITORY), *filter(None, [os.environ.get("PYTHONPATH")])]
-    return subprocess.run(
-        [sys.executable, str(REPOSITORY / "scripts" / name), *arguments],
-        cwd=directory,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(paths), "OMP_NUM_THREADS": "1"},
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths), "OMP_NUM_THREADS": "1"}
+    return [sys.executable, str(REPOSITORY / "scripts" / name), *arguments], environment
 
 
 def run_script_here(name: str, *arguments: str, directory: Path) -> None:
@@ -89,6 +89,18 @@ def test_a_dataset_is_never_half_and_never_overwritten(tmp_path, monkeypatch):
         collect(tmp_path / "other", **options | {"batches": 0})
     with pytest.raises(ValueError, match="--seed must be at least 0; got -1"):
         collect(tmp_path / "other", **options | {"seed": -1})
+
+
+def test_a_collection_that_is_told_to_end_leaves_nothing_half_done(tmp_path):
+    command, environment = command_of("collect.py", "--out", "dataset", "--batches", "5000", "--num-envs", "1")
+    with subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True) as collecting:
+        until = time.monotonic() + 60
+        while not any(tmp_path.glob(".dataset.*/dataset")) and time.monotonic() < until:
+            time.sleep(0.05)
+        assert any(tmp_path.iterdir())
+        collecting.terminate()
+        assert collecting.communicate(timeout=60)[1].splitlines()[-1] == "interrupted; nothing is kept"
+    assert not any(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("processes", [0, pytest.param(2, marks=pytest.mark.slow)])

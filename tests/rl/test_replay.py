@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from copy import deepcopy
 from dataclasses import dataclass, field
 
@@ -498,7 +499,7 @@ def test_data_that_cannot_be_stored_is_refused():
         apart.extend(Environments(2, end_probability=0.0).rollout(5))
     begun_in_the_middle = Environments(2, end_probability=0.0, interval=2)
     begun_in_the_middle.rollout(5)
-    with pytest.raises(ValueError, match="begins with images that differ"):
+    with pytest.raises(ValueError, match=r"begins with images that differ.* give a collector of several .* sync=True"):
         make_replay(10, HEIGHT, WIDTH, batch_size=2, frame_interval=2).extend(begun_in_the_middle.rollout(3))
 
 
@@ -524,7 +525,33 @@ def test_what_does_not_fit_the_replay_is_told():
         replay.extend(batch[0, 0])
     with pytest.raises(ValueError, match=r"fed by batches \(N, T\): extend\(step.unsqueeze\(-1\)\)"):
         replay.add(batch[:, 0])
+    of_unequal_processes = lazy_stack([Environments(2).rollout(3), Environments(3).rollout(3)])
+    with pytest.raises(ValueError, match=r"shape \(2, -1, 3\) not all parts are alike: .* as many robots"):
+        replay.extend(of_unequal_processes)
     assert len(replay) == 0
+
+
+def test_batches_of_processes_that_take_turns_are_warned_about_and_resets_are_not():
+    replay = make_replay(100, height=HEIGHT, width=WIDTH, batch_size=4)
+    processes = [Environments(2, seed=seed, end_probability=0.0) for seed in (1, 2)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for process in (*processes, processes[0]):  # each begins once, and the first is seen again once
+            replay.extend(process.rollout(4))
+    with pytest.warns(UserWarning, match="in the midst of episodes that are not those .* give it sync=True"):
+        replay.extend(processes[1].rollout(4))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        replay.extend(processes[0].rollout(4))  # once is enough
+
+    replay = make_replay(100, height=HEIGHT, width=WIDTH, batch_size=4)
+    going_on = Environments(2, end_probability=0.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for seed in range(5):
+            replay.extend(Environments(2, seed=seed, end_probability=0.0).rollout(4))  # as env.rollout(4) begins anew
+        for _ in range(5):
+            replay.extend(going_on.rollout(4))
 
 
 def test_padding_is_refused_and_whole_trajectories_are_taken_by_the_collector():
@@ -533,7 +560,7 @@ def test_padding_is_refused_and_whole_trajectories_are_taken_by_the_collector():
     replay = make_replay(100, height=HEIGHT, width=WIDTH, batch_size=4)
     replay.extend(batch)
     batch["collector", "mask"][0, 4:] = False  # as trajs_per_batch and split_trajs fill episodes up
-    with pytest.raises(ValueError, match=r"of 12 steps 2 are padding after episodes' ends, .* \(replay_buffer=\)"):
+    with pytest.raises(ValueError, match=r"of 12 steps 2 are padding .* preemptive_threshold, .* \(replay_buffer=\)"):
         replay.extend(batch)
     assert len(replay) == 10
     replay = make_replay(500, batch_size=4)
