@@ -69,22 +69,27 @@ def obstacles(config: TrainConfig, *, is_trained: bool = False) -> Iterator[str]
         needed, size = memory_needed(config), checkpoint_size(config)
     except (ValueError, ArithmeticError, RuntimeError):  # there is no such network, which its own check tells
         return
+    checkpoints = len(list((directory / "checkpoints").glob("checkpoint-*")))  # then the run goes on as it was begun
     available = available_memory()
     if available is not None and needed > available:
         yield (
             f"the run takes about {needed / _GIB:.1f} GiB of memory, most of it for --replay-capacity "
             f"({config.replay_capacity}) images of {config.camera.width}x{config.camera.height} pixels, and "
-            f"{available / _GIB:.1f} GiB are available; lower it, or make the images smaller"
+            f"{available / _GIB:.1f} GiB are available; "
+            + ("end other programs" if checkpoints else "lower it, or make the images smaller")
         )
     if place.is_dir() and not is_trained:
-        missing = KEPT + 1 - len(list((directory / "checkpoints").glob("checkpoint-*")))
-        wanted, free = max(1, missing) * size, shutil.disk_usage(place).free
+        wanted, free = max(1, KEPT + 1 - checkpoints) * size, shutil.disk_usage(place).free
         if wanted > free:
             yield (
                 f"{place} has {free / _GIB:.2f} GiB of free disk, and the run's checkpoints ({KEPT} are kept while "
                 f"another one is written, of {size / _GIB:.2f} GiB each) still take "
-                f"{wanted / _GIB:.2f} GiB; make room, choose another directory (--out), or lower --replay-capacity "
-                f"({config.replay_capacity})"
+                f"{wanted / _GIB:.2f} GiB; make room"
+                + (
+                    ""
+                    if checkpoints
+                    else f", choose another directory (--out), or lower --replay-capacity ({config.replay_capacity})"
+                )
             )
 
 

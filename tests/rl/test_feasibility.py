@@ -46,12 +46,15 @@ def test_a_run_that_exceeds_the_memory_is_refused_with_both_numbers():
     assert "GiB are available; lower it, or make the images smaller" in problem
 
 
-def test_memory_that_just_suffices_is_enough(monkeypatch):
+def test_memory_that_just_suffices_is_enough(tmp_path, monkeypatch):
     needed = feasibility.memory_needed(MEMORYLESS)
     monkeypatch.setattr(feasibility, "available_memory", lambda: needed)
     assert obstacles() == []
     monkeypatch.setattr(feasibility, "available_memory", lambda: needed - 1)
     assert len(obstacles()) == 1
+    (tmp_path / "run" / "checkpoints" / "checkpoint-1").mkdir(parents=True)
+    (problem,) = obstacles(out=tmp_path / "run")
+    assert problem.endswith("GiB are available; end other programs"), "a run that goes on has the settings it has"
     monkeypatch.setattr(feasibility, "available_memory", lambda: None)  # a system that does not say
     assert obstacles() == []
 
@@ -110,11 +113,16 @@ def test_a_disk_without_room_for_the_checkpoints_is_refused(tmp_path, monkeypatc
     monkeypatch.setattr("rl.feasibility.shutil.disk_usage", free(4 * size - 1))
     (problem,) = obstacles(out=tmp_path / "run")
     assert problem.startswith(f"{tmp_path} has 2.31 GiB of free disk")
-    assert "(3 are kept while another one is written, of 0.58 GiB each) still take 2.31 GiB; make room" in problem
+    assert (
+        "(3 are kept while another one is written, of 0.58 GiB each) still take 2.31 GiB; make room, " in problem
+    )
     for step in (1, 2, 3):  # a resumed run has most of them already
         (tmp_path / "run" / "checkpoints" / f"checkpoint-{step}").mkdir(parents=True)
     monkeypatch.setattr("rl.feasibility.shutil.disk_usage", free(size))
     assert obstacles(out=tmp_path / "run") == []
+    monkeypatch.setattr("rl.feasibility.shutil.disk_usage", free(size - 1))
+    (problem,) = obstacles(out=tmp_path / "run")
+    assert problem.endswith("still take 0.58 GiB; make room"), "its settings are what they are"
 
 
 def test_a_directory_that_cannot_be_written_is_refused(tmp_path, monkeypatch):
