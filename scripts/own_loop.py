@@ -17,6 +17,7 @@ import torch
 import tyro
 from rich.progress import track
 from tensordict.nn import TensorDictSequential
+from torch.optim.lr_scheduler import CosineAnnealingLR
 from torchrl.collectors import Collector
 from torchrl.modules import EGreedyModule
 from torchrl.objectives import SoftUpdate
@@ -37,7 +38,7 @@ def learn(
     """Train a robot with a loop of one page, let it drive greedily where it has never been, and keep its weights.
 
     Args:
-        out: File to write the network's weights to.
+        out: File to write the network's weights to, which are for make_q_actor("I", depth_scale="inverse").
         world: World file, name of a shipped world, or generated rooms, to train in.
         eval_world: World to drive in afterwards.
         steps: Transitions to learn from.
@@ -55,14 +56,15 @@ def learn(
     torch.set_flush_denormal(True)  # else Adam gets slower as units fall silent: docs/performance.md
     torch.manual_seed(seed)
     env = NavEnv(world, num_envs, seed=seed)
-    actor = make_q_actor("I")
+    actor = make_q_actor("I", depth_scale="inverse")  # what is near fills most of the scale
     loss = D3QNLoss(actor, gamma=0.97, loss_function="smooth_l1")
     target = SoftUpdate(loss, tau=0.005)
     optimiser = torch.optim.Adam(loss.parameters(), lr=5e-4, fused=True)
-    replay = make_replay(capacity=50_000, batch_size=64, n_step=3, gamma=0.97)
+    replay = make_replay(capacity=50_000, batch_size=64, n_step=3, gamma=0.97, mirror=True)
 
     size = 16 * num_envs
-    batches = -(-steps // size)
+    batches, updates = -(-steps // size), size // 8  # each transition is learnt from eight times
+    descent = CosineAnnealingLR(optimiser, batches * updates)
     exploration = EGreedyModule(env.action_spec, eps_init=1.0, eps_end=0.05, annealing_num_steps=batches // 2)
     policy = TensorDictSequential(actor, exploration)
     collector = Collector(
@@ -71,10 +73,11 @@ def learn(
     for batch in track(collector, "learning", total=batches):
         replay.extend(batch)
         exploration.step()
-        for _ in range(size // 8):  # each transition is learnt from eight times
+        for _ in range(updates):
             loss(replay.sample())["loss"].backward()
             optimiser.step()
             optimiser.zero_grad()
+            descent.step()
             target.step()
 
     torch.save(actor.state_dict(), out)

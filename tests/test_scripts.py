@@ -127,7 +127,7 @@ def test_a_loop_of_ones_own_learns_and_leaves_its_weights(tmp_path, capsys, recw
     assert "of goals reached in simple_eval" in capsys.readouterr().out
     assert not [str(one.message) for one in recwarn if one.category is not DeprecationWarning]  # not shown by default
     torch.manual_seed(0)
-    actor = make_q_actor("I")  # as the loop's network began
+    actor = make_q_actor("I", depth_scale="inverse")  # as the loop's network began
     weights = torch.load(tmp_path / "new" / "own.pt", weights_only=True)
     assert all((value != weights[name]).any() for name, value in actor.state_dict().items())
     actor.load_state_dict(weights)

@@ -113,9 +113,7 @@ def test_a_disk_without_room_for_the_checkpoints_is_refused(tmp_path, monkeypatc
     monkeypatch.setattr("rl.feasibility.shutil.disk_usage", free(4 * size - 1))
     (problem,) = obstacles(out=tmp_path / "run")
     assert problem.startswith(f"{tmp_path} has 2.31 GiB of free disk")
-    assert (
-        "(3 are kept while another one is written, of 0.58 GiB each) still take 2.31 GiB; make room, " in problem
-    )
+    assert "(3 are kept while another one is written, of 0.58 GiB each) still take 2.31 GiB; make room, " in problem
     for step in (1, 2, 3):  # a resumed run has most of them already
         (tmp_path / "run" / "checkpoints" / f"checkpoint-{step}").mkdir(parents=True)
     monkeypatch.setattr("rl.feasibility.shutil.disk_usage", free(size))
