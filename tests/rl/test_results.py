@@ -60,12 +60,17 @@ def test_the_networks_of_symmetric_policies_are_told_alone_where_all_are_known()
 
 
 def test_short_ways_are_told_of_symmetric_policies():
-    runs = [run(SHORT_WAYS, seed, 0.5, 0.5) for seed in (0, 1)]
-    for one, rate in zip(runs, (0.96, 1.0), strict=True):
+    (_, of_image), (_, of_scalar) = SHORT_WAYS
+    runs = [run(row, seed, 0.5, 0.5) for row, seed in ((of_image, 0), (of_image, 1), (of_scalar, 0))]
+    assert "a metre costs" not in results_page(runs, BASELINES, "")
+    for one, rate in zip(runs, (0.96, 1.0, 0.9), strict=True):
         one["symmetric"] = run("", 0, rate, rate - 0.01)["final"]
     page = " ".join(results_page(runs, BASELINES, "").split())
-    told = "it is 0.900 of 98.0% in `complex_eval` and 0.800 of 97.0% in the unseen rooms"
-    assert f"{told} (row `{SHORT_WAYS}`, 2 seeds, as symmetric policies)" in page
+    assert (
+        "have: D3QN-I 0.900 of 98.0% in `complex_eval` and 0.800 of 97.0% in the unseen rooms "
+        f"(row `{of_image}`, 2 seeds); D3QN-S 0.900 of 90.0% in `complex_eval` and 0.800 of 89.0% in the unseen rooms "
+        f"(row `{of_scalar}`, 1 seed)."
+    ) in page
 
 
 def test_what_was_not_run_is_said():
