@@ -16,6 +16,9 @@ from rl.config import TrainConfig
 from rl.observation import history_length, stack_of
 from rl.surroundings import Surroundings
 
+_FARTHEST = 100.0
+"""Metres: an image of which all is farther away than this, and than the camera sees, is not in metres."""
+
 
 class Pilot:
     """Gives a robot's command for the next control period, 0.2 s, from what its camera and its odometry tell.
@@ -78,7 +81,7 @@ class Pilot:
             Forward speed, m/s, and turning speed, rad/s, positive to the left.
 
         Raises:
-            ValueError: for an image of another size, and for what is no pose and no goal.
+            ValueError: for an image of another size or unit, and for what is no pose and no goal.
         """
         image = self._counts(np.asarray(depth))
         here, there = _numbers("pose", pose, 3), _numbers("goal", goal, 2)
@@ -116,6 +119,12 @@ class Pilot:
         if not np.issubdtype(depth.dtype, np.floating):
             raise ValueError(
                 f"a depth image is in metres, or uint8 counts; got {depth.dtype}: divide millimetres by 1000"
+            )
+        measured = depth[np.isfinite(depth) & (depth > 0.0)]
+        if measured.size and measured.min() > max(_FARTHEST, self.camera.max_range):
+            raise ValueError(
+                f"a depth image is in metres, and in this one nothing is nearer than {measured.min():g}: divide "
+                "millimetres by 1000"
             )
         metres = np.nan_to_num(depth.astype(np.float32), nan=0.0, posinf=self.camera.max_range, neginf=0.0)
         return self.camera.to_uint8(np.clip(metres, 0.0, self.camera.max_range))

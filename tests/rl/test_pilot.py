@@ -93,11 +93,14 @@ def test_what_cannot_be_used_is_told():
     for arguments, message in (
         ((image.T, (0, 0, 0), (1, 1)), r"images of shape \(64, 80\); got \(80, 64\): resize them"),
         ((image.astype(np.uint16), (0, 0, 0), (1, 1)), "got uint16: divide millimetres by 1000"),
+        ((1000 * image, (0, 0, 0), (1, 1)), "in metres, and in this one nothing is nearer than 2000: divide"),
         ((image, (0, 0), (1, 1)), r"pose must be 3 finite numbers; got \(0, 0\)"),
         ((image, (0, 0, 0), (np.nan, 1)), "goal must be 2 finite numbers"),
     ):
         with pytest.raises(ValueError, match=message):
             pilot.command(*arguments)
+    nothing_is_measured = np.where(image > 0, np.inf, np.nan)
+    assert pilot.command(nothing_is_measured, (0, 0, 0), (1, 1))
     with pytest.raises(ValueError, match="a Pilot needs a policy that knows how it was trained"):
         Pilot(rl.make_q_actor("I"))
 
