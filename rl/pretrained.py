@@ -55,13 +55,16 @@ def load_pretrained(name: str) -> tuple[QValueActor, TrainConfig]:
     return read_policy(DIRECTORY / f"{name}.safetensors")
 
 
-def pack_policy(run: Run, path: Path, *, weights: Literal["best", "last"] = "best") -> None:
+def pack_policy(
+    run: Run, path: Path, *, weights: Literal["best", "last"] = "best", symmetric: bool | None = None
+) -> None:
     """Writes a run's policy as one file, in half precision.
 
     Args:
         run: a run that has been evaluated.
         path: to write; it appears when it is complete.
         weights: those that did best in the run's evaluations, or the last.
+        symmetric: whether it is to be a symmetric policy; by default, as its settings have it. Training is the same.
 
     Raises:
         RunError: for a run that lacks its weights, or whose packed weights exceed ``LARGEST_FILE``.
@@ -78,6 +81,7 @@ def pack_policy(run: Run, path: Path, *, weights: Literal["best", "last"] = "bes
         "out": None,
         "world": [names[source] for source in config.world],
         "eval_world": names[config.eval_world],
+        "symmetric": config.symmetric if symmetric is None else symmetric,
     }
     with atomic_write(path, "wb") as file:
         file.write(save(halved, metadata={"format": "1", "settings": json.dumps(settings)}))

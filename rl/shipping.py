@@ -47,6 +47,7 @@ def ship(
     name: str,
     *,
     weights: Literal["best", "last"] = "last",
+    symmetric: bool | None = None,
     console: Console | None = None,
 ) -> Path:
     """Packs a run's policy as ``NAME.safetensors`` and writes its card, ``NAME.md``, from what the packed file does.
@@ -56,6 +57,7 @@ def ship(
         directory: where both files go.
         name: of the policy.
         weights: the last ones of the run, which nothing was chosen by, or those that did best in its evaluations.
+        symmetric: whether it is to be a symmetric policy; by default, as its settings have it.
         console: where progress is shown; nowhere by default.
 
     Returns:
@@ -76,7 +78,7 @@ def ship(
     with TemporaryDirectory() as elsewhere:  # an interrupted measurement leaves old weights with their card
         trial = Path(elsewhere) / f"{name}.safetensors"
         learnt = _learnt(run, weights)
-        pack_policy(run, trial, weights=weights)
+        pack_policy(run, trial, weights=weights, symmetric=symmetric)
         policy, config = read_policy(trial)
         packed = trial.read_bytes()  # a run that trains on writes other weights meanwhile
     reactive = make_baseline("reactive", config.camera, config.sensor, config.robot)

@@ -17,6 +17,7 @@ def main(
     name: str,
     /,
     weights: Literal["best", "last"] = "last",
+    symmetric: Literal["yes", "no"] | None = None,
     directory: Path = DIRECTORY,
 ) -> None:
     """Pack a run's policy, measure what the packed file does, and write its model card.
@@ -25,10 +26,13 @@ def main(
         run: Directory of the run.
         name: What follows "pretrained:".
         weights: The run's last, which nothing was chosen by, or those that did best in its evaluations.
+        symmetric: Whether it acts by the mean of its network's values for what it sees and for the mirror image; as its
+            settings have it by default.
         directory: Where the file and its card go.
     """
     try:
-        print(ship(Run.open(run), directory, name, weights=weights, console=Console()))
+        mirrors = None if symmetric is None else symmetric == "yes"
+        print(ship(Run.open(run), directory, name, weights=weights, symmetric=mirrors, console=Console()))
     except (OSError, ValueError) as error:
         sys.exit(str(error))
 

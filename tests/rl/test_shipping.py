@@ -60,6 +60,15 @@ def test_the_card_tells_what_the_packed_file_does(run, tmp_path, weights):
         assert f"## {part}" in card
 
 
+def test_a_policy_is_shipped_as_a_symmetric_one_or_not(run, tmp_path):
+    assert run.config.symmetric
+    for symmetric in (False, True, None):
+        card = ship(run, tmp_path / "shipped", "S", symmetric=symmetric).read_text(encoding="utf-8")
+        policy, config = read_policy(tmp_path / "shipped" / "S.safetensors")
+        assert policy.module[0].module.symmetric == config.symmetric == (symmetric is not False)
+        assert ("for the mirror image" in card) == config.symmetric
+
+
 def test_the_card_of_a_robot_that_remembers_tells_what_that_needs(run, tmp_path):
     inputs = ("depth", "heading", "command", "surroundings")
     remembering = Run.create(tiny_config(tmp_path / "remembering", model="S", inputs=inputs, symmetric=False))
