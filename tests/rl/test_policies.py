@@ -88,9 +88,10 @@ def test_a_policy_is_as_symmetric_as_its_settings_or_whoever_loads_it_wants(run)
 
 
 def test_shipped_policies_can_be_made_symmetric_and_baselines_cannot():
-    assert load_policy("pretrained:S", symmetric=True).module[0].module.symmetric
-    assert find_policy("pretrained:S", symmetric=True)[0].module[0].module.symmetric
-    assert not load_policy("pretrained:S").module[0].module.symmetric
+    for name, as_shipped in (("pretrained:I", False), ("pretrained:S", True)):
+        for wanted in (None, False, True):
+            for policy in (load_policy(name, symmetric=wanted), find_policy(name, symmetric=wanted)[0]):
+                assert policy.module[0].module.symmetric == (as_shipped if wanted is None else wanted)
     for wanted in (True, False):
         with pytest.raises(RunError, match=r"reactive is a baseline, .*: leave --symmetric out"):
             find_policy("reactive", symmetric=wanted)
