@@ -183,13 +183,15 @@ class DepthCamera:
         return np.minimum(seen, self.max_range)
 
     def to_uint8(self, ideal: np.ndarray) -> np.ndarray:
-        """What a network gets for the ideal sensor's ``(..., H, W)`` metres: uint8, 255 = ``max_range``, 0 = no return.
+        """What a network gets for a sensor's ``(..., H, W)`` metres: uint8, 255 = ``max_range`` or more, 0 = no return.
 
-        One count is ``max_range / 255``, 19.6 mm by default. Depth under the blind zone (or ``min_range``) becomes 0.
+        One count is ``max_range / 255``, 19.6 mm by default. Depth under the blind zone (or ``min_range``) becomes 0,
+        and so does NaN.
         """
         scaled = np.multiply(ideal, np.float32(255.0 / self.max_range), dtype=np.float32)
         scaled += np.float32(0.5)
-        counts = scaled.astype(np.uint8)
+        # What is out of range would wrap around; fmin and fmax leave out NaN, which is no return below.
+        counts = np.fmax(np.fmin(scaled, np.float32(255.0)), np.float32(0.0)).astype(np.uint8)
         threshold = np.float32(max(self.blind_zone, self.min_range))
         counts *= ideal >= threshold
         return counts

@@ -126,8 +126,7 @@ class Pilot:
                 f"a depth image is in metres, and in this one nothing is nearer than {measured.min():g}: divide "
                 "millimetres by 1000"
             )
-        metres = np.nan_to_num(depth.astype(np.float32), nan=0.0, posinf=self.camera.max_range, neginf=0.0)
-        return self.camera.to_uint8(np.clip(metres, 0.0, self.camera.max_range))
+        return self.camera.to_uint8(depth.astype(np.float32))
 
 
 def _numbers(name: str, values: ArrayLike, count: int) -> np.ndarray:

@@ -103,6 +103,13 @@ def test_to_uint8_gives_255_at_the_greatest_depth_and_one_count_every_196_tenths
     assert camera.max_range / 255 == pytest.approx(0.0196, abs=5e-5)
 
 
+@pytest.mark.filterwarnings("error")
+def test_what_is_out_of_range_is_free_or_no_return_and_nothing_in_between():
+    depth = np.float32([5.0, 5.0098, 5.05, 6.0, 9.9, 1e9, np.inf, 0.0, -0.02, -3.0, -np.inf, np.nan])
+    np.testing.assert_array_equal(DepthCamera().to_uint8(depth), [255] * 7 + [0] * 5)
+    np.testing.assert_array_equal(DepthCamera(blind_zone=0.0, min_range=0.0).to_uint8(depth[-5:]), [0] * 5)
+
+
 def test_the_blind_zone_reads_zero_and_its_end_does_not():
     depth = np.float32([0.0, 0.05, 0.2, 0.3999, 0.4, 0.41])
     np.testing.assert_array_equal(DepthCamera().to_uint8(depth), [0, 0, 0, 0, 20, 21])
