@@ -50,7 +50,7 @@ AIMS = (
     Aim("the same, D3QN-S", f"S-{VARIANT}", UNSEEN, "–", "–", 97),
 )
 SHORT_WAYS = (("D3QN-I", "fast-plain-length-0.3-longer"), ("D3QN-S", "S-fast-plain-length-0.3-longer"))
-"""The row of those who were taught what a metre costs, and longest."""
+"""The rows of those who were taught what a metre costs, and longest."""
 _INPUTS = (("blind", "D3QN-I, heading only"), ("depth-only", "D3QN-I, depth only"))
 _TIMED = (("D3QN-I", "base"), ("D3QN-S", "S"), ("best variant", VARIANT), ("its D3QN-S", f"S-{VARIANT}"))
 _SHORT_NAMES = {COMPLEX: "`complex_eval`", UNSEEN: "the unseen rooms"}
@@ -143,8 +143,9 @@ def results_page(
     lines += [
         "",
         "SPL should be at least 0.93 of success. The planning oracle, which has the map and drives by the same rules,",
-        f"has {of_complex} in `complex_eval` and {of_unseen} in the unseen rooms, where not even the best plans have",
-        "0.93; [measurements.md](measurements.md#where-paths-are-longer-than-they-need-be) tells where it is lost.",
+        f"has {of_complex} in `complex_eval` and {of_unseen} in the unseen rooms, where not even the best plans found",
+        "have 0.93;",
+        "[measurements.md](measurements.md#where-paths-are-longer-than-they-need-be) tells where it is lost.",
         *_short_ways(by_row),
         *_networks_alone(by_row),
         "",

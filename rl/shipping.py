@@ -48,6 +48,7 @@ def ship(
     *,
     weights: Literal["best", "last"] = "last",
     symmetric: bool | None = None,
+    chosen: str = "",
     console: Console | None = None,
 ) -> Path:
     """Packs a run's policy as ``NAME.safetensors`` and writes its card, ``NAME.md``, from what the packed file does.
@@ -58,6 +59,7 @@ def ship(
         name: of the policy.
         weights: the last ones of the run, which nothing was chosen by, or those that did best in its evaluations.
         symmetric: whether it is to be a symmetric policy; by default, as its settings have it.
+        chosen: a sentence for the card on how this run was chosen among others; readers may reckon with it.
         console: where progress is shown; nowhere by default.
 
     Returns:
@@ -89,7 +91,7 @@ def ship(
             for driver in (policy, reactive)
         )
         results.append((place, own, beside))
-    card, text = directory / f"{name}.md", _card(run, name, config, learnt, results)
+    card, text = directory / f"{name}.md", _card(run, name, config, learnt, results, chosen)
     with atomic_write(directory / f"{name}.safetensors", "wb") as file:
         file.write(packed)
     with atomic_write(card) as file:
@@ -119,7 +121,12 @@ def _learnt(run: Run, weights: Literal["best", "last"]) -> _Learnt:
 
 
 def _card(
-    run: Run, name: str, config: TrainConfig, learnt: _Learnt, results: list[tuple[str, Evaluation, Evaluation]]
+    run: Run,
+    name: str,
+    config: TrainConfig,
+    learnt: _Learnt,
+    results: list[tuple[str, Evaluation, Evaluation]],
+    chosen: str,
 ) -> str:
     drawn = config.randomization
     ideal = config.sensor == SensorModel() and drawn.latency == (0, 0)
@@ -145,7 +152,8 @@ def _card(
         robot_hours=learnt.steps * config.task.control_period / 3600.0,
         minutes=learnt.processor_seconds / 60.0,
         processor=run.processor,
-        chosen=learnt.what,
+        weights=learnt.what,
+        chosen=chosen,
         sensor="an ideal depth sensor" if ideal else "a depth sensor that errs",
         ideal=ideal,
         memory_seconds=STEPS * config.task.control_period,

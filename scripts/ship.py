@@ -18,6 +18,7 @@ def main(
     /,
     weights: Literal["best", "last"] = "last",
     symmetric: Literal["yes", "no"] | None = None,
+    chosen: str = "",
     directory: Path = DIRECTORY,
 ) -> None:
     """Pack a run's policy, measure what the packed file does, and write its model card.
@@ -28,11 +29,13 @@ def main(
         weights: The run's last, which nothing was chosen by, or those that did best in its evaluations.
         symmetric: Whether it acts by the mean of its network's values for what it sees and for the mirror image; as its
             settings have it by default.
+        chosen: A sentence for the card on how this run was chosen among others, if it was.
         directory: Where the file and its card go.
     """
     try:
         mirrors = None if symmetric is None else symmetric == "yes"
-        print(ship(Run.open(run), directory, name, weights=weights, symmetric=mirrors, console=Console()))
+        shipped = Run.open(run)
+        print(ship(shipped, directory, name, weights=weights, symmetric=mirrors, chosen=chosen, console=Console()))
     except (OSError, ValueError) as error:
         sys.exit(str(error))
 

@@ -63,7 +63,8 @@ def test_the_card_tells_what_the_packed_file_does(run, tmp_path, weights):
 def test_a_policy_is_shipped_as_a_symmetric_one_or_not(run, tmp_path):
     assert run.config.symmetric
     for symmetric in (False, True, None):
-        card = ship(run, tmp_path / "shipped", "S", symmetric=symmetric).read_text(encoding="utf-8")
+        card = ship(run, tmp_path / "shipped", "S", symmetric=symmetric, chosen="The best of two.").read_text()
+        assert "the last of the run. The best of two. " in card
         policy, config = read_policy(tmp_path / "shipped" / "S.safetensors")
         assert policy.module[0].module.symmetric == config.symmetric == (symmetric is not False)
         assert ("for the mirror image" in card) == config.symmetric
