@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from navsim.camera import DepthCamera
 from navsim.robot import TURTLEBOT2, Robot
 
 FLOOR_TOLERANCE = 0.03
-"""Metres above the floor below which a pixel counts as floor: more than one ``uint8`` count at any range."""
+"""Metres above the floor below which a pixel counts as floor."""
+TILT_TOLERANCE_DEG = 3.0
+"""Degrees by which that limit rises away from the camera: of a camera (or a robot) tilted by so much more than is
+known, the floor stays floor. What is lower than the limit where it is far away shows when it comes nearer."""
 _CLEARANCE = 0.06
 """Metres above a robot from which on things are out of its way."""
 
@@ -45,8 +50,8 @@ def obstacle_depth(
     """Least planar depth of each column over the pixels that show something between two heights.
 
     A pixel's height above the floor follows from its depth and its row, so the floor drops out by geometry and so does
-    what hangs above ``high``. "No return" (0) is something nearer than the camera's blind zone, and its depth 0; where
-    a sensor loses returns as well, it tells nothing.
+    what hangs above ``high``. "No return" (0) is something nearer than the camera's blind zone, and its depth 0. In rows
+    in which the bare floor is as near as that, and where a sensor loses returns as well, it tells nothing.
 
     A column is one of a level camera's, whatever the camera's pitch. What a pitched camera sees there lies along a line
     of its image that leans: in each row the pixel nearest to it is taken. Depth is along the floor.
@@ -54,7 +59,8 @@ def obstacle_depth(
     Args:
         depth: ``(..., H, W)``, ``uint8`` as the networks get it or float metres.
         camera: whose images they are; H and W are its height and width.
-        low: metres above the floor; lower pixels are floor.
+        low: metres above the floor at the camera; lower pixels are floor, and so are those lower than a plane that
+            rises from there at ``TILT_TOLERANCE_DEG``.
         high: metres above the floor; higher pixels are out of the way.
         lossy: whether the sensor loses returns, see ``navsim.sensor.SensorModel.loses_returns``.
 
@@ -63,15 +69,36 @@ def obstacle_depth(
     """
     reading = metres(depth, camera)
     forward = reading if camera.depth == "planar" else reading / camera.ray_lengths
-    height = np.float32(camera.mount_z) + camera.row_climbs.astype(np.float32)[:, None] * forward
-    obstructs = (reading < camera.max_range) & (height > low) & (height < high)
-    obstructs = obstructs & (reading > 0.0) if lossy else obstructs | (reading == 0.0)
+    nearest, farthest, floor = _limits(camera, low, high)
+    obstructs = (forward > nearest) & (forward < farthest) & (reading < camera.max_range) & (reading > 0.0)
+    if not lossy:
+        seen_floor = floor if camera.depth == "planar" else floor * camera.ray_lengths
+        obstructs |= (reading == 0.0) & (seen_floor >= max(camera.blind_zone, camera.min_range))
     if camera.pitch_deg:
         columns, inside = _columns_of_level_camera(camera)
         obstructs = np.take_along_axis(obstructs, _like(columns, obstructs), axis=-1) & inside
         forward = np.take_along_axis(forward, _like(columns, forward), axis=-1)
         forward = forward * camera.row_advances.astype(np.float32)[:, None]
     return np.where(obstructs, forward, np.float32(camera.max_range)).min(axis=-2)
+
+
+def _limits(camera: DepthCamera, low: float, high: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Planar depths ``(H, 1)`` float32 between which a row's pixels are in the way, and from which on they are floor.
+
+    A pixel of depth f is in the way where mount_z + climb f is over low + tan(tilt) advance f, and under high.
+    """
+    tilt = math.tan(math.radians(TILT_TOLERANCE_DEG))
+    over = _where_positive(camera.mount_z - low, camera.row_climbs - tilt * camera.row_advances)
+    under = _where_positive(high - camera.mount_z, -camera.row_climbs)
+    limits = np.maximum(over[0], under[0]), np.minimum(over[1], under[1]), over[1]
+    return tuple(limit.astype(np.float32)[:, None] for limit in limits)  # type: ignore[return-value]
+
+
+def _where_positive(at_zero: float, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds ``(H,)`` of the f for which ``at_zero`` + slope f > 0."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        root = np.where(slopes == 0.0, np.inf if at_zero > 0.0 else -np.inf, -at_zero / slopes)
+    return np.where(slopes > 0.0, root, -np.inf), np.where(slopes > 0.0, np.inf, root)
 
 
 def _columns_of_level_camera(camera: DepthCamera) -> tuple[np.ndarray, np.ndarray]:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
 
 from navsim.camera import DepthCamera
 from navsim.raycast import render_depth
@@ -34,13 +37,14 @@ def test_a_wall_ahead_has_its_distance_in_every_column():
     np.testing.assert_allclose(obstacle_depth(seen(room(), pose=facing_east), CAMERA), 2.087, atol=1e-5)
 
 
-@pytest.mark.parametrize("height", [0.08, 0.2, 1.0])
-def test_a_box_on_the_floor_is_seen_however_low_it_is(height):
-    world = room({"box": {"at": [2.0, 0.0], "size": [0.4, 0.8], "height": height}})
+@pytest.mark.parametrize(("height", "away"), [(0.07, 0.7), (0.14, 2.0), (0.2, 2.0), (1.0, 2.0)])
+def test_a_box_on_the_floor_is_seen_however_low_it_is(height, away):
+    world = room({"box": {"at": [away, 0.0], "size": [0.4, 0.8], "height": height}})
     scan = obstacle_depth(seen(world), CAMERA)
-    lateral = 1.887 * CAMERA.column_slopes  # its front face is 1.8 m ahead of the robot, 1.887 m of the camera
+    front = away - 0.2 + 0.087  # metres from the camera, which sits behind the robot's centre
+    lateral = front * CAMERA.column_slopes
     inside = np.abs(lateral) < 0.39
-    np.testing.assert_allclose(scan[inside], 1.887, atol=1e-5)
+    np.testing.assert_allclose(scan[inside], front, atol=1e-5)
     assert (scan[np.abs(lateral) > 0.5] == CAMERA.max_range).all()
 
 
@@ -116,3 +120,66 @@ def test_a_pitched_camera_scans_what_a_level_one_does(pitch_deg, depth):
     nearby = np.stack([np.roll(expected, shift) for shift in (-1, 0, 1)])
     assert np.all((scan > nearby.min(axis=0) - 0.02) & (scan < nearby.max(axis=0) + 0.02))
     np.testing.assert_array_equal(obstacle_depth(seen(room(), pitched), pitched), 5.0)
+
+
+@pytest.mark.parametrize("nominal", [CAMERA, DepthCamera(pitch_deg=12.0), DepthCamera(depth="range")])
+@pytest.mark.parametrize(("pitch", "lower"), [(3.0, 0.0), (-3.0, 0.0), (2.0, 0.02), (0.0, 0.03), (-2.0, -0.03)])
+def test_the_floor_is_no_obstacle_to_a_camera_that_is_mounted_otherwise_than_it_knows(nominal, pitch, lower):
+    tilted = replace(nominal, pitch_deg=nominal.pitch_deg + pitch, mount_z=nominal.mount_z - lower)
+    scan = obstacle_depth(tilted.to_uint8(seen(room(), tilted)), nominal)
+    np.testing.assert_array_equal(scan, nominal.max_range)
+
+
+def test_no_return_is_nothing_in_rows_in_which_the_floor_is_in_the_blind_zone():
+    low = DepthCamera(mount_z=0.15)
+    image = low.to_uint8(seen(room(), low))
+    assert (image[-1] == 0).all()
+    assert (image[32] > 0).all()
+    np.testing.assert_array_equal(obstacle_depth(image, low), low.max_range)
+    image[20, 7] = 0  # something very near, as high as the camera
+    scan = obstacle_depth(image, low)
+    assert scan[7] == 0.0
+    assert (np.delete(scan, 7) == low.max_range).all()
+
+
+@given(
+    mount_z=st.floats(0.05, 1.2),
+    pitch=st.floats(-30.0, 30.0),
+    share=st.floats(0.0, 0.95),
+    above=st.floats(0.0, 0.8),
+    lossy=st.booleans(),
+    kind=st.sampled_from(["planar", "range"]),
+    seed=st.integers(0, 1000),
+)
+def test_what_obstructs_is_found_pixel_by_pixel_too(mount_z, pitch, share, above, lossy, kind, seed):
+    """Against each pixel's point in space, from the ray through it; images of one column, which no pitch bends."""
+    camera = DepthCamera(width=1, height=24, mount_z=mount_z, pitch_deg=pitch, depth=kind)
+    low, high = share * mount_z, share * mount_z + above
+    image = np.random.default_rng(seed).uniform(0.41, 5.2, (24, 1)).astype(np.float32)
+    image[image > 4.8] = 5.0
+    image[np.random.default_rng(seed).permutation(24)[:3]] = 0.0
+    expected = camera.max_range
+    down = math.radians(pitch)
+    for row in range(24):
+        slope = (11.5 - row) * 2.0 * math.tan(math.radians(camera.vertical_fov_deg / 2.0)) / 24
+        angle = math.atan(slope) - down  # of the ray, over the horizon
+
+        def point(reading, slope=slope, angle=angle):
+            along = reading if kind == "range" else reading * math.hypot(1.0, slope)
+            return along * math.cos(angle), mount_z + along * math.sin(angle)
+
+        def is_floor(reading, point=point):
+            ahead, height = point(reading)
+            return height <= low + math.tan(math.radians(3.0)) * ahead
+
+        reading = float(image[row, 0])
+        ahead, height = point(reading)
+        limits = (low + math.tan(math.radians(3.0)) * ahead, high)
+        assume(min(abs(height - limit) for limit in limits) > 1e-4)  # float32 may decide otherwise
+        if reading == 0.0:
+            in_the_way = not lossy and not is_floor(0.4)
+        else:
+            in_the_way = reading < camera.max_range and limits[0] < height < limits[1]
+        if in_the_way:
+            expected = min(expected, ahead if pitch else point(reading)[0])
+    assert obstacle_depth(image, camera, low=low, high=high, lossy=lossy)[0] == pytest.approx(expected, abs=1e-4)
