@@ -50,8 +50,8 @@ def obstacle_depth(
     """Least planar depth of each column over the pixels that show something between two heights.
 
     A pixel's height above the floor follows from its depth and its row, so the floor drops out by geometry and so does
-    what hangs above ``high``. "No return" (0) is something nearer than the camera's blind zone, and its depth 0. In rows
-    in which the bare floor is as near as that, and where a sensor loses returns as well, it tells nothing.
+    what hangs above ``high``. "No return" (0) is something nearer than the camera's blind zone, and its depth 0. It
+    tells nothing in rows in which the bare floor is as near as that, and where a sensor loses returns as well.
 
     A column is one of a level camera's, whatever the camera's pitch. What a pitched camera sees there lies along a line
     of its image that leans: in each row the pixel nearest to it is taken. Depth is along the floor.

@@ -86,6 +86,8 @@ class Scope:
     """The frames that can be named inside a world or a model; poses are told relative to the scope's own origin."""
 
     label: str
+    outermost: bool = False
+    """Whether its origin is the world's."""
     frames: dict[str, _Frame] = field(default_factory=dict)
     models: dict[str, tuple[Scope, _Frame, str]] = field(default_factory=dict)
     """Nested models, each with its pose and the frame of it that is placed there (its own origin: empty)."""
@@ -127,8 +129,11 @@ class Scope:
 
     def find(self, name: str, place: Element | None) -> np.ndarray:
         """``(4, 4)``: a named frame, relative to the scope's origin."""
-        if name in (_OWN, "world", ""):
+        if name in (_OWN, "") or (name == "world" and self.outermost):
             return np.eye(4)
+        if name == "world":
+            message = f"what is inside model '{self.label}' cannot be relative to the world; name a frame of the model"
+            raise place.error(message) if place else ValueError(message)
         if name in self._known:
             return self._known[name]
         if name in self._open:

@@ -41,7 +41,8 @@ def load_ros_map(
     """The world of a ROS map: its occupied cells as polygons of one height.
 
     The room is what the map knows: borders of unknown cells are cut off. A rim of occupied cells around it becomes the
-    room's walls.
+    room's walls. A map that is turned (the third number of its ``origin``) is turned back: the world lies as its picture
+    does.
 
     Args:
         path: a ``map.yaml``, which names its picture (.pgm, .png, …).
@@ -76,6 +77,8 @@ def read_ros_map(
         raise settings.need("resolution", "0.05").error(f"must be metres per cell, 0.0001 to 100, not {resolution:g}")
     origin = settings.get("origin")
     x, y, yaw = (*origin.numbers(2, 3), 0.0)[:3] if origin is not None else (0.0, 0.0, 0.0)
+    if origin is not None and abs(yaw) > math.tau:
+        raise origin.error(f"must be x and y in metres and a yaw in radians, from −2π to 2π; {yaw:g} looks like degrees")
     image = settings.need("image", "map.pgm")
     occupied, known = _cells(settings, _picture(image, Path(path)))
     scene = Scene(str(path), Path(path).stem, built=Walls(height=wall_height))
@@ -89,7 +92,7 @@ def read_ros_map(
     occupied = occupied[box] | ~known[box] if unknown == "occupied" else occupied[box]
     if strange:
         notes.append(f"{strange} cells in the room are unknown: they count as {unknown} (--unknown says otherwise)")
-    rim = _rim(occupied) if yaw == 0.0 else 0
+    rim = _rim(occupied)
     if rim:
         occupied, corner = occupied[rim:-rim, rim:-rim], corner + rim
         scene.walls = Walls(height=wall_height, thickness=rim * resolution)
@@ -104,17 +107,13 @@ def read_ros_map(
     if filled:
         notes.append(f"{filled} pockets of free cells, walled in and too small for the robot, are filled")
     height, width = occupied.shape
-    turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
+    scene.turned = yaw
+    lower_left = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]]) @ [x, y]
 
     def in_metres(cells: np.ndarray) -> np.ndarray:
-        return (cells + corner) * resolution @ turn + [x, y]
+        return (cells + corner) * resolution + lower_left
 
-    limits = in_metres(np.array([[0, 0], [width, 0], [width, height], [0, height]]))
-    scene.low, scene.high = tuple(limits.min(axis=0).tolist()), tuple(limits.max(axis=0).tolist())
-    if yaw:
-        notes.append(
-            f"the map is turned by {math.degrees(yaw):.4g} degrees: the room is the upright rectangle around it"
-        )
+    scene.low, scene.high = (tuple(in_metres(np.array(cells)).tolist()) for cells in ([0, 0], [width, height]))
     for number, outline in enumerate(found, start=1):
         scene.add(_solid(f"patch {number}", in_metres(outline), wall_height))
     if len(scene.solids):

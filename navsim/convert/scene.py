@@ -35,6 +35,8 @@ SAME = 5e-4
 """Metres within which walls count as flush, of the same height and of the same thickness."""
 _OPTIONAL = ("motion", "pushable")
 """Settings that an obstacle can do without."""
+_CLEARANCE = 0.5
+"""Metres of free floor around a start or goal: a little more than the depth rule wants."""
 MOST_SOLIDS = MOST_OBSTACLES
 """Obstacles of one imported file."""
 MOST_CUT = 50_000
@@ -51,9 +53,9 @@ class Room:
     """
 
     size: tuple[float, float] | None = None
-    """Extents along x and y, metres; by default what the file says, or else its geometry with ``margin``."""
+    """Extents along x and y, metres; by default what the file says, or else what is in it with ``margin``."""
     margin: float = 1.0
-    """Free floor around the geometry of a file that does not say how large its room is, metres."""
+    """Free floor around what is in a file that does not say how large its room is, metres."""
     walls: bool = True
     """Whether to build four walls, 2 m high, around a room that has none."""
     starts: tuple[tuple[float, float], ...] = ()
@@ -116,6 +118,16 @@ class Solid:
         signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
         return [(x + a * along[0] + b * across[0], y + a * along[1] + b * across[1]) for a, b in signs]
 
+    @property
+    def volume(self) -> float:
+        """Cubic metres."""
+        area = {
+            "box": self.size[0] * self.size[1],
+            "cylinder": math.pi * self.radius**2,
+            "polygon": abs(signed_area(self.points)) if self.points else 0.0,
+        }[self.kind]
+        return area * (self.top - self.base)
+
     def stands_in(self, low: Sequence[float], high: Sequence[float]) -> bool:
         """Whether all points that a world file wants inside the room are between two corners of a rectangle."""
         points = self.points if self.kind == "polygon" else [self.centre]
@@ -142,6 +154,9 @@ class Scene:
     """The opposite corner."""
     walls: Walls | Literal["none", "unsaid"] = "unsaid"
     """What stands around the room, if the file says."""
+    turned: float = 0.0
+    """Radians by which everything here is turned, clockwise about the origin, against the file's own coordinates, so
+    that the room lies along the axes."""
     built: Walls = field(default_factory=Walls)
     """The walls to build around a room without any."""
     corners: int = 0
@@ -216,13 +231,18 @@ def data_of(scene: Scene, room: Room) -> tuple[dict[str, Any], list[str]]:
     solids = _above_the_floor(_sound(scene.solids, notes), scene.floor, notes)
     low, high, walls, solids = _room_around(scene, solids, room, notes)
     centre = 0.5 * (low + high)
-    half = 0.5 * (high - low)
-    if np.abs(centre).max() > 10.0**-DIGITS:
+    if scene.turned:
+        x, y = _rotated(centre, scene.turned)
+        notes.append(
+            f"the file is turned by {math.degrees(scene.turned):.4g} degrees: the world is turned back by as much about "
+            f"the room's centre, ({x:g}, {y:g}) in the file, which is its origin"
+        )
+    elif np.abs(centre).max() > 10.0**-DIGITS:
         notes.append(
             f"the room's centre, ({centre[0]:g}, {centre[1]:g}) in the file, is the origin of the world: everything is "
             f"moved by ({_plain(-centre[0]):g}, {_plain(-centre[1]):g}) m"
         )
-    size = [_rounded(2.0 * half[0]), _rounded(2.0 * half[1])]
+    size = [_rounded(side) for side in high - low]
     half = 0.5 * np.array(size)
     inside: list[dict[str, Any]] = []
     least, most = (centre - half - 10.0**-DIGITS).tolist(), (centre + half + 10.0**-DIGITS).tolist()
@@ -248,8 +268,8 @@ def data_of(scene: Scene, room: Room) -> tuple[dict[str, Any], list[str]]:
     else:
         data["walls"] = {"height": _rounded(walls.height), "thickness": _rounded(walls.thickness)}
     data["obstacles"] = inside
-    data["starts"] = _places(room.starts, scene.starts, centre)
-    data["goals"] = _places(room.goals, scene.goals, centre)
+    data["starts"] = _places(room.starts, scene.turned, scene.starts, centre)
+    data["goals"] = _places(room.goals, scene.turned, scene.goals, centre)
     for key in ("starts", "goals"):
         if data[key] == "random":
             notes.append(f"{key} are drawn at random each episode; --{key} X Y lists them")
@@ -354,10 +374,14 @@ def _room_around(
         corners = np.array([corner for solid in solids for corner in solid.corners()] or [(0.0, 0.0)])
         low, high = corners.min(axis=0), corners.max(axis=0)
         if room.size is None:
-            low, high = low - room.margin, high + room.margin
+            places = [*(room.starts or scene.starts), *(room.goals or scene.goals)]
+            around = np.array([place[:2] for place in places]).reshape(-1, 2)
+            clearance = min(room.margin, _CLEARANCE)
+            low = np.min([low - room.margin, *(around - clearance)], axis=0)
+            high = np.max([high + room.margin, *(around + clearance)], axis=0)
             notes.append(
-                f"no four walls enclose a room: it is as large as what stands in it and {room.margin:g} m around; "
-                "--margin or --size change that"
+                f"no four walls enclose a room: it holds what there is and {room.margin:g} m around, {clearance:g} m "
+                "around starts and goals; --margin or --size change that"
             )
         else:
             centre = 0.5 * (low + high)
@@ -462,7 +486,8 @@ def _enclosed_by(four: tuple[Any, ...], outer_low: np.ndarray, outer_high: np.nd
 
 def _obstacle(solid: Solid, centre: np.ndarray, half: np.ndarray) -> dict[str, Any]:
     """An entry of ``obstacles``."""
-    middle, limits = centre.tolist(), half.tolist()
+    # Half of an odd number of micrometres is none, and would be rounded to outside.
+    middle, limits = centre.tolist(), (np.floor(half * 10**DIGITS + 1e-3) / 10**DIGITS).tolist()
 
     def moved(point: Sequence[float]) -> list[float]:
         return [_rounded(min(max(p - c, -h), h)) for p, c, h in zip(point, middle, limits, strict=True)]
@@ -542,8 +567,16 @@ def _snapped(yaw: float, extent: float) -> float:
     return math.pi if wrapped <= -math.pi + 1e-12 else wrapped
 
 
-def _places(asked: tuple[tuple[float, float], ...], found: list[Place], centre: np.ndarray) -> Any:
-    places = [Place(x, y) for x, y in asked] or found
+def _rotated(place: Sequence[float] | np.ndarray, angle: float) -> tuple[float, float]:
+    """A place turned counterclockwise about the origin."""
+    (x, y), cosine, sine = place, math.cos(angle), math.sin(angle)
+    return float(cosine * x - sine * y), float(sine * x + cosine * y)
+
+
+def _places(asked: tuple[tuple[float, float], ...], turned: float, found: list[Place], centre: np.ndarray) -> Any:
+    """What ``starts`` or ``goals`` of a world file hold: what is ``asked`` for in the file's own coordinates, or else
+    what is ``found`` in the scene's."""
+    places = [Place(*_rotated(place, -turned)) for place in asked] or found
     if not places:
         return "random"
     entries: list[Any] = []

@@ -45,6 +45,8 @@ MOST_MERGED = 100
 """Models that one world or model includes as parts of itself."""
 HEAVIEST = 5.0
 """Kilograms up to which a body that Gazebo lets move is something for the robot to push, of 6.3 kg itself."""
+_DENSITY = 1000.0
+"""Kilograms a cubic metre, of bodies whose mass is left to be computed and which tell none: SDFormat's default."""
 
 Approximation = Literal["nothing", "bounding-box", "convex-hull"]
 
@@ -131,7 +133,7 @@ class _Reader:
         others = [world.name for world in list(root.all("world"))[1:]]
         if others:
             self._notes.append(f"only the first of {len(others) + 1} worlds is read; left out: {', '.join(others[:5])}")
-        scope = Scope(f"<{top.tag}> '{top.name}'")
+        scope = Scope(f"<{top.tag}> '{top.name}'", outermost=True)
         if top.tag == "world":
             self._read_world(top, scope)
         else:
@@ -190,8 +192,15 @@ class _Reader:
                 nested.append(self._declare(child, child, scope, files, prefix, static))
             else:
                 nested.append(self._included(child, scope, files, prefix, static))
+        held = {
+            link.partition("::")[0]
+            for joint in parent.all("joint")
+            for link in (joint.words("parent"), joint.words("child"))
+            if "::" in link
+        }
         for read in filter(None, nested):
             model, inner, name, inner_files, is_static = read
+            is_static = is_static or inner.label in held
             own = scope.models.get(inner.label) or next(entry for entry in scope.merged if entry[0] is inner)
             self._read_model(model, inner, pose @ scope.placed(*own), inner_files, name, is_static)
 
@@ -277,16 +286,24 @@ class _Reader:
         self, model: Element, scope: Scope, pose: np.ndarray, files: tuple[Path, ...], name: str, static: bool
     ) -> None:
         self._children(model, scope, pose, files, f"{name} ", static)
-        body = _Body([], 0.0, not static)
+        joints = list(model.all("joint"))
+        moving = sorted({joint.attributes.get("type", "") for joint in joints} - {"fixed", ""})
+        to_world = any("world" in (joint.words("parent"), joint.words("child")) for joint in joints)
+        kinematic = any(link.flag("kinematic", False) for link in model.all("link"))
+        body = _Body([], 0.0, not (static or moving or to_world or kinematic))
         for link in model.all("link"):
             inertial = link.first("inertial")
-            body.mass += inertial.number("mass", 1.0) if inertial is not None else 1.0
+            weighed = inertial is not None and inertial.truth(inertial.attributes.get("auto", "false"))
+            if not weighed:
+                body.mass += inertial.number("mass", 1.0) if inertial is not None else 1.0
             for element in link.all(self._geometry_tag):
                 at = pose @ scope.pose(element.first("pose"), link.name, element)
                 solid = self._solid(element, name, at, files)
                 if solid is not None:
                     body.solids.append((solid, link.name, element.name))
-        moving = sorted({joint.attributes.get("type", "") for joint in model.all("joint")} - {"fixed", ""})
+                    if weighed and inertial is not None:
+                        density = element.number("density", inertial.number("density", _DENSITY))
+                        body.mass += density * solid.volume
         if moving:
             self._notes.append(f"model '{name}' has joints ({', '.join(moving)}): it stands still as it is posed")
         if model.first("plugin") is not None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import shapely
 from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from same_view import CAMERA, poses_in, worlds
 
 import navsim
@@ -58,18 +59,48 @@ def test_an_occupied_rectangle_is_a_box_where_the_map_has_it(tmp_path):
     assert any("(2, 4) in the file" in note for note in notes)
 
 
-def test_the_map_turns_about_its_origin(tmp_path):
+def test_a_turned_map_lies_as_its_picture_does_and_asked_places_are_where_the_map_has_them(tmp_path):
     pixels = floor()
     pixels[5:10, 20:30] = 0
     yaw = math.radians(30.0)
-    scene = read_ros_map(map_file(tmp_path, pixels, origin=f"[-1.0, 2.0, {yaw}]"))
-    (box,) = scene.solids
-    expected = np.array(
-        [2.5 * math.cos(yaw) - 3.25 * math.sin(yaw) - 1.0, 2.5 * math.sin(yaw) + 3.25 * math.cos(yaw) + 2.0]
-    )
-    assert box.centre == pytest.approx(expected)
-    assert box.yaw == pytest.approx(yaw)
-    assert any("turned by 30 degrees" in note for note in scene.notes)
+
+    def in_map(x, y):  # of a point of the picture, metres from its lower left corner
+        return math.cos(yaw) * x - math.sin(yaw) * y - 1.0, math.sin(yaw) * x + math.cos(yaw) * y + 2.0
+
+    path = map_file(tmp_path, pixels, origin=f"[-1.0, 2.0, {yaw}]")
+    world, notes = load_ros_map(path, room=Room(starts=(in_map(1.0, 1.0),), goals=(in_map(5.0, 3.0),)))
+    assert world.size == (6.0, 4.0)
+    (box,) = world.obstacles
+    assert (box.at, box.size, box.yaw_deg) == ((-0.5, 1.25), (1.0, 0.5), 0.0)
+    assert world.starts[0].at == pytest.approx((-2.0, -1.0), abs=1e-6)
+    assert world.goals[0].at == pytest.approx((2.0, 1.0), abs=1e-6)
+    x, y = in_map(3.0, 2.0)
+    assert any("turned by 30 degrees" in note and f"({x:g}, {y:g}) in the file" in note for note in notes)
+
+
+@given(
+    yaw=st.floats(-math.tau, math.tau),
+    x=st.floats(-20.0, 20.0),
+    y=st.floats(-20.0, 20.0),
+    closed=st.booleans(),
+    seed=st.integers(0, 10_000),
+)
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_how_a_map_is_turned_and_where_it_lies_changes_nothing_of_its_world(tmp_path, yaw, x, y, closed, seed):
+    generator = np.random.default_rng(seed)
+    pixels = np.full(generator.integers(30, 80, 2), 254)
+    for row, column in generator.integers(1, 25, (3, 2)):
+        pixels[row : row + 3, column : column + 4] = 0
+    if closed:
+        pixels[[0, -1]] = 0
+        pixels[:, [0, -1]] = 0
+    as_drawn, _ = load_ros_map(map_file(tmp_path, pixels))
+    turned, _ = load_ros_map(map_file(tmp_path, pixels, origin=f"[{x}, {y}, {yaw}]"))
+    assert turned.size == as_drawn.size
+    assert turned.walls == as_drawn.walls
+    assert len(turned.prisms) == len(as_drawn.prisms)
+    for one, other in zip(turned.prisms, as_drawn.prisms, strict=True):
+        np.testing.assert_allclose(one.vertices, other.vertices, atol=3e-6)
 
 
 @pytest.mark.parametrize(

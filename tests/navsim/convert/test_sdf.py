@@ -330,6 +330,79 @@ def test_what_cannot_be_pushed_where_it_is_stands_still(tmp_path):
     assert any("left out" in note and "base" in note for note in notes)
 
 
+def with_mass(geometry: str, inertial: str = "<mass>0.3</mass>", attributes: str = "") -> str:
+    return link(geometry).replace("<collision", f"<inertial{attributes}>{inertial}</inertial><collision", 1)
+
+
+TO_WORLD = "<joint name='j' type='{}'><parent>world</parent><child>link</child></joint>"
+
+
+@pytest.mark.parametrize(
+    ("content", "is_pushable"),
+    [
+        (with_mass(CAN), True),
+        (with_mass(CAN) + TO_WORLD.format("fixed"), False),
+        (with_mass(CAN) + TO_WORLD.format("revolute"), False),
+        (with_mass(CAN).replace("<inertial", "<kinematic>true</kinematic><inertial"), False),
+        (
+            with_mass(CAN) + "<link name='lid'/><joint name='j' type='revolute'><parent>link</parent>"
+            "<child>lid</child></joint>",
+            False,
+        ),
+        (
+            with_mass(CAN) + "<link name='lid'/><joint name='j' type='fixed'><parent>link</parent>"
+            "<child>lid</child></joint>",
+            True,
+        ),
+    ],
+    ids=["loose", "fixed", "hinged", "kinematic", "with a moving lid", "with a fixed lid"],
+)
+def test_what_a_joint_or_nothing_at_all_can_move_is_not_pushed(tmp_path, content, is_pushable):
+    world, _ = load_sdf(world_file(tmp_path, model(content, static="", pose="<pose>0 0 0.3 0 0 0</pose>")), pushable=True)
+    assert (world.obstacles[0].pushable is not None) == is_pushable
+
+
+def test_what_the_model_around_it_fixes_is_not_pushed(tmp_path):
+    inner = model(with_mass(CAN), "can", static="")
+    joint = "<joint name='j' type='fixed'><parent>world</parent><child>can::link</child></joint>"
+    pose = "<pose>0 0 0.3 0 0 0</pose>"
+    for content, is_pushable in ((inner, True), (inner + joint, False)):
+        world, _ = load_sdf(world_file(tmp_path, model(content, "rig", pose, static="")), pushable=True)
+        assert (world.obstacles[0].pushable is not None) == is_pushable
+    world, _ = load_sdf(world_file(tmp_path, model(with_mass(CAN), "can", pose, static="") + joint), pushable=True)
+    assert world.obstacles[0].pushable is None
+
+
+def test_a_mass_left_to_be_computed_is_density_times_volume(tmp_path):
+    pose, volume = "<pose>0 0 0.3 0 0 0</pose>", math.pi * 0.2**2 * 0.6
+
+    def masses(content):
+        world, _ = load_sdf(world_file(tmp_path, model(content, static="", pose=pose), "1.11"), pushable=True)
+        return [obstacle.pushable and obstacle.pushable.mass for obstacle in world.obstacles]
+
+    auto = " auto='true'"
+    assert masses(with_mass(CAN, "", auto)) == [None]  # water weighs 75 kg
+    assert masses(with_mass(CAN, "<density>20</density>", auto)) == [pytest.approx(20 * volume, abs=1e-6)]
+    own = with_mass(CAN, "<density>20</density>", auto).replace("<geometry>", "<density>40</density><geometry>")
+    assert masses(own) == [pytest.approx(40 * volume, abs=1e-6)]
+
+
+def test_a_pose_inside_a_model_is_not_relative_to_the_world(tmp_path):
+    content = model(link(CAN, link_pose="<pose relative_to='world'>1 0 0.3 0 0 0</pose>"), "can")
+    with pytest.raises(ConversionError, match="inside model 'can' cannot be relative to the world"):
+        load_sdf(world_file(tmp_path, content))
+
+
+def test_the_files_own_starts_and_goals_are_in_the_room_wherever_they_are(tmp_path):
+    frames = "<frame name='start'><pose>-4 0 0 0 0 0</pose></frame><frame name='goal'><pose>0 5 0 0 0 0</pose></frame>"
+    world, notes = load_sdf(world_file(tmp_path, frames + model(link(CAN))))
+    # The can takes 0.2 m around the origin, and 1 m around it are free; 0.5 m around places.
+    assert world.size == (1.2 + 4.5, 1.2 + 5.5)
+    assert world.starts[0].at == pytest.approx((-4.0 - (1.2 - 4.5) / 2, -(5.5 - 1.2) / 2))
+    assert world.goals[0].at == pytest.approx((-(1.2 - 4.5) / 2, 5.0 - (5.5 - 1.2) / 2))
+    assert not any("left out" in note for note in notes)
+
+
 def test_a_joint_may_have_its_links_name_before_version_1_7(tmp_path):
     arm = link(CAN, name="base") + link(CAN, link_pose="<pose>1 0.5 0.3 0 0 0</pose>", name="arm")
     arm += "<joint name='arm' type='fixed'><pose>0 0 0.1 0 0 0</pose><parent>base</parent><child>arm</child></joint>"
