@@ -41,7 +41,11 @@ def atomic_write(path: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[A
     if place.is_file() and not os.access(place, os.W_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
     target = Path(path).resolve()
-    target.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):  # whose words speak of the file, not of what is in its way
+        blocking = next(parent for parent in Path(path).parents if parent.exists() and not parent.is_dir())
+        raise NotADirectoryError(errno.ENOTDIR, "is a file where a directory is needed", str(blocking)) from None
     try:
         handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
     except OSError as error:

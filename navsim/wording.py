@@ -64,10 +64,19 @@ class Wording:
             if detail["type"] == "extra_forbidden"
             for meant in _nearest(where[-1], self._known_keys(where[:-1], detail["loc"]))
         }
+        bare = {
+            (key,): Problem((key,), f"must be a list of places, such as [{shown(data[key])}], not {shown(data[key])}")
+            for key in ("starts", "goals")
+            if isinstance(data, Mapping) and _is_a_place(data.get(key))
+        }
         return [
-            self._word(where, detail)
-            for where, detail in located
-            if detail["type"] != "missing" or (*where, detail["loc"][-1]) not in misspelt
+            *bare.values(),
+            *(
+                self._word(where, detail)
+                for where, detail in located
+                if where[:1] not in bare
+                and (detail["type"] != "missing" or (*where, detail["loc"][-1]) not in misspelt)
+            ),
         ]
 
     def _word(self, where: tuple[str | int, ...], detail: Mapping[str, Any]) -> Problem:
@@ -117,7 +126,8 @@ class Wording:
         if kind == "invalid_key":
             return Problem(where[:-1] if where and where[-1] == value else where, f"a key must be a word, not {text}")
         if kind in ("string_type", "string_unicode"):
-            return Problem(where, f"must be text, not {text}; put it in quotes")
+            remedy = "give one or leave the key out" if value is None else "put it in quotes"
+            return Problem(where, f"must be text, not {text}; {remedy}")
         if kind == "string_too_short":
             return Problem(where, "is empty; write a name or leave the key out")
         if kind == "literal_error":
@@ -147,6 +157,10 @@ class Wording:
         if name == "motion" and "a swing" in location:
             name = "swing"
         return list(self.models.get(name, self.models[""]).model_fields)
+
+
+def _is_a_place(value: object) -> bool:
+    return isinstance(value, list) and len(value) == 2 and all(isinstance(number, int | float) for number in value)
 
 
 def _range(kind: str, context: Mapping[str, Any], value: float) -> str:

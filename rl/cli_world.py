@@ -190,7 +190,7 @@ def import_(
     size: Annotated[
         tuple[float, float] | None, arg(metavar="X Y", help_behavior_hint="(default: what the file says)")
     ] = None,
-    margin: float = 1.0,
+    margin: Annotated[float | None, arg(help_behavior_hint="(default: 1)")] = None,
     open_floor: FlagCreatePairsOff[bool] = False,
     starts: Annotated[
         tuple[tuple[float, float], ...],

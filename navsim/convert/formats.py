@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,7 +23,14 @@ from navsim.worldfile import dump_world, parse_text, read_file
 Source = Literal["sdf", "ros-map", "ir-sim"]
 Target = Literal["sdf", "mjcf", "ros-map"]
 
-_TARGETS: dict[str, Target] = {".sdf": "sdf", ".world": "sdf", ".xml": "mjcf", ".mjcf": "mjcf", ".yaml": "ros-map"}
+_TARGETS: dict[str, Target] = {
+    ".sdf": "sdf",
+    ".world": "sdf",
+    ".xml": "mjcf",
+    ".mjcf": "mjcf",
+    ".yaml": "ros-map",
+    ".yml": "ros-map",
+}
 
 
 def import_world(
@@ -53,6 +61,12 @@ def import_world(
         ValueError: for settings that its format has no use for.
     """
     kind = format or format_of(path)
+    if height is not None and not (math.isfinite(height) and height > 0.0):
+        raise ValueError(f"height must be greater than 0, in metres; got {height!r}")
+    if kind in ("ros-map", "ir-sim") and _is_xml(path):
+        raise ConversionError(str(path), 1, f"is XML, and so no file of the format {kind}; leave the format out")
+    if kind in ("ros-map", "ir-sim") and room is not None and room.margin is not None:
+        raise ValueError(f"{path}: a file of the format {kind} says how large its room is; give a size, not a margin")
     own: dict[str, dict[str, Any]] = {
         "sdf": {
             "model_paths": tuple(model_paths),
@@ -140,7 +154,7 @@ def format_of(path: str | os.PathLike[str]) -> Source:
         return "sdf"
     if suffix in (".pgm", ".png", ".bmp"):
         raise ConversionError(str(path), 0, "is the picture of a map; name the map.yaml that says its resolution")
-    if read_bytes(path).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
+    if _is_xml(path):
         return "sdf"
     root = read_yaml(path)
     if root.get("image") is not None and root.get("resolution") is not None:
@@ -150,6 +164,10 @@ def format_of(path: str | os.PathLike[str]) -> Source:
     if root.get("format") is not None:
         raise ConversionError(str(path), 1, "is a world file already; 'navsim world check' reads it")
     raise ConversionError(str(path), 1, "is no SDF file, ROS map or IR-SIM world; --format says what it is")
+
+
+def _is_xml(path: str | os.PathLike[str]) -> bool:
+    return read_bytes(path).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<")
 
 
 def import_file(path: str | os.PathLike[str], output: Path | None, **settings: Any) -> tuple[Path, World, list[str]]:

@@ -41,8 +41,8 @@ def load_ros_map(
     """The world of a ROS map: its occupied cells as polygons of one height.
 
     The room is what the map knows: borders of unknown cells are cut off. A rim of occupied cells around it becomes the
-    room's walls. A map that is turned (the third number of its ``origin``) is turned back: the world lies as its picture
-    does.
+    room's walls. A map that is turned (the third number of its ``origin``) is turned back: the world lies as its
+    picture does.
 
     Args:
         path: a ``map.yaml``, which names its picture (.pgm, .png, …).
@@ -78,7 +78,9 @@ def read_ros_map(
     origin = settings.get("origin")
     x, y, yaw = (*origin.numbers(2, 3), 0.0)[:3] if origin is not None else (0.0, 0.0, 0.0)
     if origin is not None and abs(yaw) > math.tau:
-        raise origin.error(f"must be x and y in metres and a yaw in radians, from −2π to 2π; {yaw:g} looks like degrees")
+        raise origin.error(
+            f"must be x and y in metres and a yaw in radians, from −2π to 2π; {yaw:g} looks like degrees"
+        )
     image = settings.need("image", "map.pgm")
     occupied, known = _cells(settings, _picture(image, Path(path)))
     scene = Scene(str(path), Path(path).stem, built=Walls(height=wall_height))

@@ -35,6 +35,8 @@ SAME = 5e-4
 """Metres within which walls count as flush, of the same height and of the same thickness."""
 _OPTIONAL = ("motion", "pushable")
 """Settings that an obstacle can do without."""
+MARGIN = 1.0
+"""Metres of free floor around what a file holds that does not say how large its room is."""
 _CLEARANCE = 0.5
 """Metres of free floor around a start or goal: a little more than the depth rule wants."""
 MOST_SOLIDS = MOST_OBSTACLES
@@ -54,8 +56,8 @@ class Room:
 
     size: tuple[float, float] | None = None
     """Extents along x and y, metres; by default what the file says, or else what is in it with ``margin``."""
-    margin: float = 1.0
-    """Free floor around what is in a file that does not say how large its room is, metres."""
+    margin: float | None = None
+    """Free floor around what is in a file that does not say how large its room is, metres; 1 m by default."""
     walls: bool = True
     """Whether to build four walls, 2 m high, around a room that has none."""
     starts: tuple[tuple[float, float], ...] = ()
@@ -64,7 +66,7 @@ class Room:
     """Where episodes are to end, metres; by default what the file says, or else drawn each episode."""
 
     def __post_init__(self) -> None:
-        for name, values in (("size", self.size or ()), ("margin", (self.margin,))):
+        for name, values in (("size", self.size or ()), ("margin", () if self.margin is None else (self.margin,))):
             if not all(math.isfinite(value) and value >= 0.0 for value in values):
                 raise ValueError(f"room {name} must be finite and not negative, in metres; got {getattr(self, name)!r}")
         if self.size is not None and not all(SMALLEST_LENGTH <= value <= LARGEST_LENGTH for value in self.size):
@@ -191,9 +193,10 @@ def world_of(scene: Scene, room: Room | None = None) -> tuple[World, list[str]]:
     if world is None:
         first, others = problems[0], len(problems) - 1
         more = f" (and {others} more like it)" if others else ""
+        settings = "size or margin" if scene.low is None else "size"
         raise ConversionError(
             scene.source, 0, f"what it holds makes no world that can be used: {first}{more}; give the room another "
-            "size or margin, or name starts and goals that are free"
+            f"{settings}, or name starts and goals that are free"
         )  # fmt: skip
     return world, notes
 
@@ -234,8 +237,8 @@ def data_of(scene: Scene, room: Room) -> tuple[dict[str, Any], list[str]]:
     if scene.turned:
         x, y = _rotated(centre, scene.turned)
         notes.append(
-            f"the file is turned by {math.degrees(scene.turned):.4g} degrees: the world is turned back by as much about "
-            f"the room's centre, ({x:g}, {y:g}) in the file, which is its origin"
+            f"the file is turned by {math.degrees(scene.turned):.4g} degrees: the world is turned back by as much, and "
+            f"its origin is the room's centre, ({x:g}, {y:g}) in the file"
         )
     elif np.abs(centre).max() > 10.0**-DIGITS:
         notes.append(
@@ -244,6 +247,7 @@ def data_of(scene: Scene, room: Room) -> tuple[dict[str, Any], list[str]]:
         )
     size = [_rounded(side) for side in high - low]
     half = 0.5 * np.array(size)
+    larger = "--size or --margin make" if scene.low is None else "--size makes"
     inside: list[dict[str, Any]] = []
     least, most = (centre - half - 10.0**-DIGITS).tolist(), (centre + half + 10.0**-DIGITS).tolist()
     cut = 0
@@ -261,7 +265,7 @@ def data_of(scene: Scene, room: Room) -> tuple[dict[str, Any], list[str]]:
             pieces = _cut_to(solid, outline, centre - half, centre + half)
         inside += [_obstacle(piece, centre, half) for piece in pieces]
         what = "reaches out of the room and is cut off there" if pieces else "stands outside the room and is left out"
-        notes.append(f"'{solid.name}' {what}; --size or --margin make the room larger")
+        notes.append(f"'{solid.name}' {what}; {larger} the room larger")
     data: dict[str, Any] = {"format": 1, "name": scene.name or "world", "size": size}
     if walls is None:
         data["walls"] = "none"
@@ -376,11 +380,12 @@ def _room_around(
         if room.size is None:
             places = [*(room.starts or scene.starts), *(room.goals or scene.goals)]
             around = np.array([place[:2] for place in places]).reshape(-1, 2)
-            clearance = min(room.margin, _CLEARANCE)
-            low = np.min([low - room.margin, *(around - clearance)], axis=0)
-            high = np.max([high + room.margin, *(around + clearance)], axis=0)
+            margin = MARGIN if room.margin is None else room.margin
+            clearance = min(margin, _CLEARANCE)
+            low = np.min([low - margin, *(around - clearance)], axis=0)
+            high = np.max([high + margin, *(around + clearance)], axis=0)
             notes.append(
-                f"no four walls enclose a room: it holds what there is and {room.margin:g} m around, {clearance:g} m "
+                f"no four walls enclose a room: it holds what there is and {margin:g} m around, {clearance:g} m "
                 "around starts and goals; --margin or --size change that"
             )
         else:

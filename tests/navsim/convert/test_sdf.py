@@ -358,7 +358,9 @@ TO_WORLD = "<joint name='j' type='{}'><parent>world</parent><child>link</child><
     ids=["loose", "fixed", "hinged", "kinematic", "with a moving lid", "with a fixed lid"],
 )
 def test_what_a_joint_or_nothing_at_all_can_move_is_not_pushed(tmp_path, content, is_pushable):
-    world, _ = load_sdf(world_file(tmp_path, model(content, static="", pose="<pose>0 0 0.3 0 0 0</pose>")), pushable=True)
+    world, _ = load_sdf(
+        world_file(tmp_path, model(content, static="", pose="<pose>0 0 0.3 0 0 0</pose>")), pushable=True
+    )
     assert (world.obstacles[0].pushable is not None) == is_pushable
 
 
