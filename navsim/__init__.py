@@ -4,6 +4,7 @@ from navsim.camera import DepthCamera
 from navsim.difficulty import difficulty
 from navsim.errors import WorldError
 from navsim.generate import generate_world, generate_worlds
+from navsim.holes import fill_holes
 from navsim.randomization import Randomization
 from navsim.raycast import render_depth
 from navsim.robot import ACTIONS, NUM_ACTIONS, TURTLEBOT2, Robot
@@ -52,6 +53,7 @@ __all__ = [
     "World",
     "WorldError",
     "difficulty",
+    "fill_holes",
     "generate_world",
     "generate_worlds",
     "load_world",

@@ -34,6 +34,7 @@ SENSORS = {
     "losses at edges": SensorModel(edge_loss=0.5),
     "grazing losses": SensorModel(grazing_loss=1.0),
     "a whole Kinect": KINECT,
+    "a whole Kinect, holes filled": replace(KINECT, filled=True),
     "a whole Kinect, 2 steps late": replace(KINECT, latency=2),
 }
 """What is measured of the sensor."""

@@ -169,13 +169,18 @@ class DepthCamera:
         """``(H, W)`` float32, length of a pixel's ray per metre of planar depth."""
         return np.sqrt(1.0 + self.column_slopes[None, :] ** 2 + self.row_slopes[:, None] ** 2).astype(np.float32)
 
+    @cached_property
+    def floor_depth(self) -> np.ndarray:
+        """``(H, W)`` float32, what each pixel reads of the bare floor, metres (``max_range`` where it sees none)."""
+        depth = np.full((self.height, self.width), np.inf, dtype=np.float32)
+        down = self.row_climbs < 0
+        depth[down] = (-self.mount_z / self.row_climbs[down])[:, None]
+        return self.from_planar(depth)
+
     @property
     def least_floor_depth(self) -> float:
         """The least reading that the bare floor gives, metres (``max_range`` where no pixel sees it)."""
-        depth = np.full((self.height, self.width), np.inf)
-        down = self.row_climbs < 0
-        depth[down] = (-self.mount_z / self.row_climbs[down])[:, None]
-        return float(np.min(self.from_planar(depth)))
+        return float(self.floor_depth.min())
 
     def from_planar(self, planar: np.ndarray) -> np.ndarray:
         """What the ideal sensor makes of planar ``(..., H, W)``, metres: ``depth``'s kind, at most ``max_range``."""

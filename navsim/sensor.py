@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from navsim.camera import DepthCamera
+from navsim.holes import fill_holes
 
 FOCAL_LENGTH = 580.0
 """Of the Kinect, in pixels of its 640x480, which figures in pixels are about."""
@@ -67,6 +68,8 @@ class SensorModel:
     grazing_loss: float = 0.0
     """Probability that a surface seen at 80° or more from its normal returns nothing; it falls linearly to 0 at 60°
     (limits of the measurements of Nguyen et al. 2012)."""
+    filled: bool = False
+    """Whether what has no return shows what lies behind, as far as that can be told (``navsim.fill_holes``)."""
     latency: int = 0
     """Control periods by which images are late: what is seen is the image of so many steps ago, or an episode's first
     one until there is one that old."""
@@ -79,6 +82,9 @@ class SensorModel:
         for name in ("edge_loss", "grazing_loss"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"sensor {name} must be a probability, from 0 to 1; got {getattr(self, name)!r}")
+        for name in ("shadows", "filled"):
+            if not isinstance(getattr(self, name), bool | np.bool_):
+                raise ValueError(f"sensor {name} must be true or false; got {getattr(self, name)!r}")
         if isinstance(self.latency, bool) or not isinstance(self.latency, int | np.integer) or self.latency < 0:
             raise ValueError(f"sensor latency must be a whole number of steps, at least 0; got {self.latency!r}")
 
@@ -95,7 +101,7 @@ class SensorModel:
     @property
     def is_exact(self) -> bool:
         """Whether images are the ideal ones, be they late."""
-        return not (self.is_noisy or self.shadows or self.disparity_step > 0.0)
+        return not (self.is_noisy or self.shadows or self.filled or self.disparity_step > 0.0)
 
 
 KINECT = SensorModel(
@@ -279,6 +285,9 @@ class Sensor:
             measured = np.float32(DISPARITY) / (step * steps)
         measured = np.where(beyond, np.float32(camera.max_range), camera.from_planar(measured))
         measured[lost] = 0.0
+        if model.filled:
+            measured[measured < max(camera.blind_zone, camera.min_range)] = 0.0
+            measured = fill_holes(measured, camera)
         return camera.to_uint8(measured)
 
     def _lost(self, robots: np.ndarray, inverse: np.ndarray, angle: np.ndarray | None, level: np.ndarray) -> np.ndarray:

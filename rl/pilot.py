@@ -10,6 +10,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import QValueActor
 
 from navsim.camera import DepthCamera
+from navsim.holes import fill_holes
 from navsim.robot import INITIAL_COMMAND, apply_actions
 from navsim.task import heading
 from rl.config import TrainConfig
@@ -29,6 +30,8 @@ class Pilot:
 
     Args:
         policy: as ``rl.load_policy`` returns it.
+        fill: whether images in metres have their holes filled in (``navsim.fill_holes``); by default they have for a
+            policy that was not trained with holes. Images in counts are taken as they are.
 
     Attributes:
         camera: the camera that the robot must have: its field of view, its place on the robot, its range.
@@ -45,7 +48,7 @@ class Pilot:
     (True, True)
     """
 
-    def __init__(self, policy: QValueActor) -> None:
+    def __init__(self, policy: QValueActor, *, fill: bool | None = None) -> None:
         config = getattr(policy, "trained_as", None)
         if not isinstance(config, TrainConfig):
             raise ValueError(
@@ -55,6 +58,7 @@ class Pilot:
         self.camera: DepthCamera = config.camera
         self.period: float = config.task.control_period
         self._policy, self._config = policy, config
+        self._fill = config.sensor.filled or not config.sensor.loses_returns if fill is None else fill
         self.begin()
 
     def begin(self) -> None:
@@ -126,7 +130,7 @@ class Pilot:
                 f"a depth image is in metres, and in this one nothing is nearer than {measured.min():g}: divide "
                 "millimetres by 1000"
             )
-        return self.camera.to_uint8(depth.astype(np.float32))
+        return self.camera.to_uint8(fill_holes(depth, self.camera) if self._fill else depth.astype(np.float32))
 
 
 def _numbers(name: str, values: ArrayLike, count: int) -> np.ndarray:

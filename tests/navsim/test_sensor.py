@@ -379,6 +379,8 @@ def test_a_state_of_another_sensor_is_refused():
         ({"disparity_step": math.inf}, "sensor disparity_step must be a finite number, at least 0; got inf"),
         ({"edge_loss": 1.5}, "sensor edge_loss must be a probability, from 0 to 1; got 1.5"),
         ({"grazing_loss": -0.1}, "sensor grazing_loss must be a probability, from 0 to 1; got -0.1"),
+        ({"shadows": "no"}, "sensor shadows must be true or false; got 'no'"),
+        ({"filled": 1}, "sensor filled must be true or false; got 1"),
         ({"latency": -1}, "sensor latency must be a whole number of steps, at least 0; got -1"),
         ({"latency": 1.5}, "sensor latency must be a whole number of steps, at least 0; got 1.5"),
     ],

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 import rl
 from navsim.camera import DepthCamera
+from navsim.holes import fill_holes
 from navsim.robot import NUM_ACTIONS, apply_actions
 from navsim.sensor import KINECT, SensorModel
 from navsim.simulator import Simulator
@@ -115,6 +118,32 @@ def test_what_it_remembers_does_not_depend_on_where_the_frame_begins():
             pilot.command(np.full((64, 80), 1.5), pose + origin, goal + origin[:2])
     np.testing.assert_allclose(torch.cat(seen[:6]), torch.cat(seen[6:]), atol=1e-5)
     assert torch.cat(seen).min() < 1.3
+
+
+def test_holes_are_filled_for_policies_that_were_trained_without_any(tmp_path):
+    policy, seen = rl.load_policy("pretrained:I"), []
+    policy.register_forward_pre_hook(lambda module, arguments: seen.append(arguments[0]["depth"][0, -1].numpy()))
+    camera = policy.trained_as.camera
+    holes = np.random.default_rng(0).random((64, 80)) < 0.3
+    image = np.where(holes, np.nan, 2.0)
+
+    def shown(pilot, depth):
+        pilot.begin()
+        pilot.command(depth, (0, 0, 0), (3, 0))
+        return seen[-1]
+
+    as_it_is, filled = camera.to_uint8(image), camera.to_uint8(fill_holes(image, camera))
+    assert (as_it_is == 0).sum() > 1000 > (filled == 0).sum()
+    np.testing.assert_array_equal(shown(Pilot(policy), image), filled)
+    np.testing.assert_array_equal(shown(Pilot(policy, fill=False), image), as_it_is)
+    np.testing.assert_array_equal(shown(Pilot(policy), as_it_is), as_it_is)  # counts are what the network is to get
+
+    for sensor, expected in ((KINECT, as_it_is), (replace(KINECT, filled=True), filled)):
+        run = Run.create(TrainConfig(sensor=sensor, out=tmp_path / str(sensor.filled)))
+        run.save_policy("policy", make_actor(run.config).state_dict())
+        other = load_policy(run.directory)
+        other.register_forward_pre_hook(lambda module, arguments: seen.append(arguments[0]["depth"][0, -1].numpy()))
+        np.testing.assert_array_equal(shown(Pilot(other), image), expected)
 
 
 def test_images_may_be_flipped_and_read_only():

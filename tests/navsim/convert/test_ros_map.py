@@ -79,7 +79,7 @@ def test_a_turned_map_lies_as_its_picture_does_and_asked_places_are_where_the_ma
 
 
 def test_a_yaw_in_degrees_is_refused(tmp_path):
-    with pytest.raises(ConversionError, match="room.yaml:3: origin.* 90 looks like degrees"):
+    with pytest.raises(ConversionError, match=r"room.yaml:3: origin.* 90 looks like degrees"):
         load_ros_map(map_file(tmp_path, floor(), origin="[0, 0, 90]"))
 
 
