@@ -9,6 +9,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from navsim.settings import check_kinds
+
 KINECT_VERTICAL_FOV_DEG = math.degrees(2.0 * math.atan(math.tan(math.radians(30.0)) * 480 / 640))
 """Vertical field of view of a 640x480 image of square pixels that is 60° wide, degrees (46.83)."""
 
@@ -94,6 +96,7 @@ class DepthCamera:
                 raise ValueError(f"camera {name} must be a whole number of pixels, at least 1; got {value!r}")
             if value > LARGEST_SIDE:
                 raise ValueError(f"camera {name} must be at most {LARGEST_SIDE} pixels; got {value!r}")
+        check_kinds(self, "camera")
         for name in ("horizontal_fov_deg", "vertical_fov_deg"):
             if not 0.0 < getattr(self, name) < 180.0:
                 raise ValueError(f"camera {name} must lie between 0 and 180 degrees; got {getattr(self, name)!r}")

@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from navsim.camera import DepthCamera
-from navsim.sensor import SensorModel
+from navsim.sensor import LONGEST_LATENCY, SensorModel
+from navsim.settings import is_of_kind
 from navsim.task import Task
 
 
@@ -63,13 +64,19 @@ class Randomization:
                 value = tuple(value)
                 object.__setattr__(self, setting.name, value)
             if not (
-                isinstance(value, tuple) and len(value) == 2 and all(map(math.isfinite, value)) and value[0] <= value[1]
+                isinstance(value, tuple)
+                and len(value) == 2
+                and all(is_of_kind("float", bound) and math.isfinite(bound) for bound in value)
+                and value[0] <= value[1]
             ):
                 raise ValueError(
                     f"randomization {setting.name} must be two finite numbers, least and greatest; got {value!r}"
                 )
-        if not all(isinstance(steps, int | np.integer) and steps >= 0 for steps in self.latency):
-            raise ValueError(f"randomization latency must be two whole numbers of steps; got {self.latency!r}")
+        if not all(is_of_kind("int", steps) and 0 <= steps <= LONGEST_LATENCY for steps in self.latency):
+            raise ValueError(
+                f"randomization latency must be two whole numbers of steps, up to {LONGEST_LATENCY}; got "
+                f"{self.latency!r}"
+            )
         for name in ("noise_level", "start_distance"):
             if getattr(self, name)[0] < 0.0:
                 raise ValueError(f"randomization {name} must not be negative; got {getattr(self, name)!r}")

@@ -8,6 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from navsim.settings import check_kinds
+
 
 @dataclass(frozen=True)
 class Robot:
@@ -29,6 +31,7 @@ class Robot:
     """Greatest change of the turning speed, rad/s²; None reaches any command within one physics substep."""
 
     def __post_init__(self) -> None:
+        check_kinds(self, "robot")
         for name in ("radius", "height", "mass", "max_linear_speed", "max_angular_speed"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):

@@ -21,6 +21,7 @@ import numpy as np
 
 from navsim.camera import DepthCamera
 from navsim.holes import fill_holes
+from navsim.settings import check_kinds
 
 FOCAL_LENGTH = 580.0
 """Of the Kinect, in pixels of its 640x480, which figures in pixels are about."""
@@ -30,6 +31,8 @@ DISPARITY = FOCAL_LENGTH * BASELINE
 """Disparity times depth, pixels of 640 in a row times metres (K. Konolige and
 P. Mihelich, "Technical description of Kinect calibration", ROS wiki 2010; K. Khoshelham and S. O. Elberink, "Accuracy
 and resolution of Kinect depth data for indoor mapping applications", Sensors 12(2), 2012)."""
+LONGEST_LATENCY = 100
+"""Steps: every robot keeps so many images."""
 EDGE = 2.0
 """Jump of disparity between two neighbouring pixels, beyond the slope of either side's surface, that makes an edge;
 pixels of 640 in a row. At 1 m it is a step of 5 cm, at 3 m one of 41 cm."""
@@ -75,6 +78,7 @@ class SensorModel:
     one until there is one that old."""
 
     def __post_init__(self) -> None:
+        check_kinds(self, "sensor")
         for name in ("axial_noise", "lateral_noise", "disparity_step"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0.0):
@@ -82,11 +86,8 @@ class SensorModel:
         for name in ("edge_loss", "grazing_loss"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"sensor {name} must be a probability, from 0 to 1; got {getattr(self, name)!r}")
-        for name in ("shadows", "filled"):
-            if not isinstance(getattr(self, name), bool | np.bool_):
-                raise ValueError(f"sensor {name} must be true or false; got {getattr(self, name)!r}")
-        if isinstance(self.latency, bool) or not isinstance(self.latency, int | np.integer) or self.latency < 0:
-            raise ValueError(f"sensor latency must be a whole number of steps, at least 0; got {self.latency!r}")
+        if not 0 <= self.latency <= LONGEST_LATENCY:
+            raise ValueError(f"sensor latency must be from 0 to {LONGEST_LATENCY} steps; got {self.latency!r}")
 
     @property
     def is_noisy(self) -> bool:

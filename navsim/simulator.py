@@ -17,6 +17,7 @@ from navsim.randomization import Randomization
 from navsim.raycast import Scene, cast
 from navsim.robot import INITIAL_COMMAND, NUM_ACTIONS, TURTLEBOT2, Robot, apply_actions, with_wheel_errors
 from navsim.sensor import Sensor, SensorModel
+from navsim.settings import is_of_kind
 from navsim.task import Episode, Episodes, Path, Task, goal_distance, heading, rewards
 from navsim.world import World
 
@@ -120,8 +121,10 @@ class Simulator:
                 raise TypeError(f"a simulator takes worlds, not {world!r}: load_world reads one from a file")
         if not self.worlds:
             raise ValueError("a simulator needs at least one world; got an empty sequence")
-        if num_robots < 1:
-            raise ValueError(f"a simulator needs at least one robot; got num_robots = {num_robots!r}")
+        if not is_of_kind("int", num_robots) or num_robots < 1:
+            raise ValueError(
+                f"a simulator needs a whole number of robots, at least one; got num_robots = {num_robots!r}"
+            )
         self.num_robots = num_robots
         self.camera = camera or DepthCamera()
         self.task = task or Task()
@@ -182,6 +185,8 @@ class Simulator:
 
     def reseed(self, seed: int | None) -> None:
         """Starts the robots' random generators afresh; running episodes go on."""
+        if seed is not None and not (is_of_kind("int", seed) and seed >= 0):
+            raise ValueError(f"a seed must be a whole number, at least 0; got {seed!r}")
         sequences = np.random.SeedSequence(seed).spawn(self.num_robots)
         self._generators = [np.random.default_rng(sequence) for sequence in sequences]
         # Episodes are the same ones with and without noise or randomisation: those have generators of their own.
@@ -308,6 +313,8 @@ class Simulator:
             ValueError: for a state of another number of robots, of other worlds, or of another shape, such as other
                 cameras and sensors have; then nothing is changed. Tasks and robots are not compared.
         """
+        if lacking := [key for key in ("steps", "physics") if key not in state]:
+            raise ValueError(f"this is no state of a simulator: it has no '{lacking[0]}'")
         if len(state["steps"]) != self.num_robots:
             raise ValueError(
                 f"the state holds {len(state['steps'])} robots, but this simulator has {self.num_robots}: "

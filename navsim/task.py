@@ -18,6 +18,7 @@ from navsim.planner import OPEN_FLOOR_MARGIN
 from navsim.prism import walls_around
 from navsim.raycast import Scene, nearest_depth
 from navsim.robot import Robot, wrap_angle
+from navsim.settings import check_kinds
 from navsim.world import World
 
 _YAWS = np.deg2rad(np.arange(-175.0, 181.0, 5.0))  # what an open start yaw is drawn from
@@ -65,6 +66,7 @@ class Task:
     """Free view that a start needs whose yaw is drawn, metres: no obstacle anywhere in the picture is nearer."""
 
     def __post_init__(self) -> None:
+        check_kinds(self, "task")
         for name in ("goal_radius", "control_period", "substep"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):

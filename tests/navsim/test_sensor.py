@@ -381,8 +381,9 @@ def test_a_state_of_another_sensor_is_refused():
         ({"grazing_loss": -0.1}, "sensor grazing_loss must be a probability, from 0 to 1; got -0.1"),
         ({"shadows": "no"}, "sensor shadows must be true or false; got 'no'"),
         ({"filled": 1}, "sensor filled must be true or false; got 1"),
-        ({"latency": -1}, "sensor latency must be a whole number of steps, at least 0; got -1"),
-        ({"latency": 1.5}, "sensor latency must be a whole number of steps, at least 0; got 1.5"),
+        ({"latency": -1}, "sensor latency must be from 0 to 100 steps; got -1"),
+        ({"latency": 1.5}, "sensor latency must be a whole number; got 1.5"),
+        ({"latency": 10**9}, "sensor latency must be from 0 to 100 steps; got 1000000000"),
     ],
 )
 def test_impossible_settings_are_refused_in_one_sentence(settings, message):
