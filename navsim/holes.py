@@ -19,6 +19,9 @@ def fill_holes(depth: np.ndarray, camera: DepthCamera) -> np.ndarray:
     neighbours in the row, and then in the column what no row could fill; but nothing is seen beyond the floor, whose
     depth in each row follows from how the camera is mounted. Holes wider and higher than ``LARGEST`` stay.
 
+    What is too near to be measured leaves a hole, too. Where it takes up less than ``LARGEST`` it disappears, so keep
+    to other sensors for what must not be bumped into.
+
     Args:
         depth: ``(..., H, W)`` floats, metres; 0, NaN and what is negative are no return.
         camera: whose images they are.
