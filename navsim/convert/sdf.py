@@ -196,7 +196,6 @@ class _Reader:
             link.partition("::")[0]
             for joint in parent.all("joint")
             for link in (joint.words("parent"), joint.words("child"))
-            if "::" in link
         }
         for read in filter(None, nested):
             model, inner, name, inner_files, is_static = read

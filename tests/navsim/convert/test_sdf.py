@@ -368,7 +368,8 @@ def test_what_the_model_around_it_fixes_is_not_pushed(tmp_path):
     inner = model(with_mass(CAN), "can", static="")
     joint = "<joint name='j' type='fixed'><parent>world</parent><child>can::link</child></joint>"
     pose = "<pose>0 0 0.3 0 0 0</pose>"
-    for content, is_pushable in ((inner, True), (inner + joint, False)):
+    by_name = joint.replace("can::link", "can")
+    for content, is_pushable in ((inner, True), (inner + joint, False), (inner + by_name, False)):
         world, _ = load_sdf(world_file(tmp_path, model(content, "rig", pose, static="")), pushable=True)
         assert (world.obstacles[0].pushable is not None) == is_pushable
     world, _ = load_sdf(world_file(tmp_path, model(with_mass(CAN), "can", pose, static="") + joint), pushable=True)
