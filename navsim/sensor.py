@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -111,6 +111,8 @@ KINECT = SensorModel(
 """A Kinect. Nguyen's axial noise was measured with the sensor's steps of disparity in it, so both together are a little
 more than a Kinect has. A block of 9 pixels reaches half a column of 80 to either side, which an edge somewhere between
 two columns falls into with a probability of one half."""
+SENSORS = {"ideal": SensorModel(), "kinect": KINECT, "kinect-filled": replace(KINECT, filled=True)}
+"""Sensors by name."""
 
 
 def axial_sigma(depth: np.ndarray) -> np.ndarray:

@@ -169,7 +169,7 @@ def evaluate(
     num_paths: Annotated[int | None, arg(help_behavior_hint=_PATHS_HINT)] = None,
     weights: Literal["best", "last"] = "best",
     symmetric: Annotated[Literal["yes", "no"] | None, arg(help_behavior_hint="(default: as it was trained)")] = None,
-    ideal: FlagCreatePairsOff[bool] = False,
+    sensor: Literal["trained", "ideal", "kinect", "kinect-filled"] = "trained",
     randomized: FlagCreatePairsOff[bool] = False,
 ) -> None:
     """Drive the paths of a world, or of several, with a trained policy or a baseline, and print how that went.
@@ -185,11 +185,12 @@ def evaluate(
         weights: Of a run: those that did best in its evaluations, or the last, which nothing was chosen by.
         symmetric: Whether to go by the mean of the network's values for what it sees and for the mirror image of that,
             whatever it was trained for.
-        ideal: Show ideal images, whatever noise, losses and latency the run was trained with.
+        sensor: What makes the images: what it was trained with, nothing (ideal ones), a Kinect with its noise and lost
+            returns, or one with the holes that these leave filled in.
         randomized: Draw camera, wheels, sensor and starts for each path, from the ranges the run was trained with.
     """
     from navsim.randomization import Randomization
-    from navsim.sensor import SensorModel
+    from navsim.sensor import SENSORS
     from rl.evaluation import evaluate_as_trained
     from rl.metrics import comparison_table
     from rl.policies import find_policy
@@ -207,7 +208,7 @@ def evaluate(
         config,
         world,
         name=(Path(run).resolve() if Path(run).is_dir() else Path(run)).name,
-        sensor=SensorModel() if ideal else None,
+        sensor=SENSORS.get(sensor),
         randomization=config.randomization if randomized else None,
         seed=seed,
         num_paths=num_paths,
@@ -231,7 +232,7 @@ def drive(
     speed: float = 2.0,
     weights: Literal["best", "last"] = "best",
     symmetric: Annotated[Literal["yes", "no"] | None, arg(help_behavior_hint="(default: as it was trained)")] = None,
-    ideal: FlagCreatePairsOff[bool] = False,
+    sensor: Literal["trained", "ideal", "kinect", "kinect-filled"] = "trained",
 ) -> None:
     """Film one drive: plan view, depth image, the goal's direction, and the Q-values as bars.
 
@@ -246,8 +247,10 @@ def drive(
         weights: Of a run: those that did best in its evaluations, or the last, which nothing was chosen by.
         symmetric: Whether to go by the mean of the network's values for what it sees and for the mirror image of that,
             whatever it was trained for.
-        ideal: Show ideal images, whatever noise, losses and latency the run was trained with.
+        sensor: What makes the images: what it was trained with, nothing (ideal ones), a Kinect with its noise and lost
+            returns, or one with the holes that these leave filled in.
     """
+    from navsim.sensor import SENSORS
     from rl.drive import drive as film
 
     with busy("driving and filming"):
@@ -261,7 +264,7 @@ def drive(
             speed=speed,
             weights=weights,
             symmetric=None if symmetric is None else symmetric == "yes",
-            ideal=ideal,
+            sensor=SENSORS.get(sensor),
         )
     print(f"{output}: {result.outcome} after {result.steps} steps, {result.path_length:.1f} m")
 

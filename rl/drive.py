@@ -38,7 +38,7 @@ def drive(
     speed: float = 2.0,
     weights: Literal["best", "last"] = "best",
     symmetric: bool | None = None,
-    ideal: bool = False,
+    sensor: SensorModel | None = None,
     console: Console | None = None,
 ) -> PathResult:
     """Drives one path with a policy and writes the episode as a film.
@@ -56,7 +56,7 @@ def drive(
         weights: of a run: those that did best in its evaluations, or the last.
         symmetric: of what is named: whether to go by the mean of the network's values for what it sees and for the
             mirror image of that; by default as it was trained for.
-        ideal: whether it is shown ideal images, whatever noise, losses and latency it was trained with.
+        sensor: what makes its images; by default the one that it was trained with.
         console: where progress is shown; nowhere by default.
 
     Returns:
@@ -89,7 +89,7 @@ def drive(
         config,
         room.model_copy(update={"starts": starts, "goals": goals}),
         name=policy if isinstance(policy, str) else "",
-        sensor=SensorModel() if ideal else None,
+        sensor=sensor,
         seed=seed,
         num_paths=1,
         console=console,

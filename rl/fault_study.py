@@ -9,7 +9,7 @@ import json
 import os
 import shlex
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from rich.table import Table
 from navsim.draw import INK, check_picture, new_figure, save_figure
 from navsim.files import atomic_write
 from navsim.randomization import Randomization
-from navsim.sensor import KINECT, SensorModel
+from navsim.sensor import KINECT, SENSORS, SensorModel
 from navsim.worldsource import worlds_from
 from rl.ablations import UNSEEN_ROOMS
 from rl.evaluation import evaluate_as_trained
@@ -64,7 +64,7 @@ FAULTS: dict[str, tuple[Size, ...]] = {
         Size("axial noise", sensor=SensorModel(axial_noise=1.0)),
         Size("twice that", sensor=SensorModel(axial_noise=2.0)),
         Size("Kinect", sensor=KINECT),
-        Size("Kinect, filled", sensor=replace(KINECT, filled=True)),
+        Size("Kinect, filled", sensor=SENSORS["kinect-filled"]),
     ),
 }
 """Every fault, in growing sizes; one of them is none."""

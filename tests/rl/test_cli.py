@@ -608,3 +608,14 @@ def test_ctrl_c_ends_with_status_130(monkeypatch, room, capsys):
     monkeypatch.setattr("navsim.show.save_plan_view", interrupted)
     assert main(["world", "show", str(room)]) == 130
     assert told(capsys).strip() == "interrupted"
+
+
+def test_a_policy_is_evaluated_with_another_sensor(tmp_path, capsys):
+    reached = {}
+    for sensor in ("ideal", "kinect", "kinect-filled"):
+        told = tmp_path / f"{sensor}.json"
+        arguments = ["evaluate", "pretrained:S", "--world", "complex_eval", "--num-paths", "12", "--json", str(told)]
+        assert main([*arguments, "--sensor", sensor]) == 0
+        reached[sensor] = json.loads(told.read_text())["summary"]["success_rate"]
+    assert reached["kinect"] < 0.75 < 0.9 < reached["kinect-filled"]
+    assert reached["ideal"] > 0.9

@@ -115,7 +115,7 @@ def test_the_images_shown_are_those_that_the_robot_saw(late, filmed, tmp_path):
 
 
 def test_ideal_images_are_shown_to_who_asks_for_them(late, filmed, tmp_path):
-    result = drive(str(late.directory), "simple_eval", tmp_path / "a.gif", ideal=True)
+    result = drive(str(late.directory), "simple_eval", tmp_path / "a.gif", sensor=SensorModel())
     expected = images_of(load_world("simple_eval"), result.trajectory[:-1], late.config.camera)
     np.testing.assert_array_equal(filmed["images"], expected)
 
