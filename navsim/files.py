@@ -44,7 +44,8 @@ def atomic_write(path: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[A
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):  # whose words speak of the file, not of what is in its way
-        blocking = next(parent for parent in Path(path).parents if parent.exists() and not parent.is_dir())
+        above = (*Path(path).parents, *target.parents)  # the latter where a link leads elsewhere
+        blocking = next(parent for parent in above if parent.exists() and not parent.is_dir())
         raise NotADirectoryError(errno.ENOTDIR, "is a file where a directory is needed", str(blocking)) from None
     try:
         handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")

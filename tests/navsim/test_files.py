@@ -116,3 +116,14 @@ def test_a_file_that_is_read_only_is_not_replaced(tmp_path, monkeypatch):
         write_text(path, "after")
     assert path.read_text() == "before"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_file_in_the_way_of_a_directory_is_named_behind_links_too(tmp_path):
+    blocking = tmp_path / "notes"
+    blocking.write_text("here")
+    (tmp_path / "link").symlink_to(blocking / "deeper" / "file")
+    for path in (blocking / "deeper" / "file", tmp_path / "link"):
+        with pytest.raises(NotADirectoryError, match="is a file where a directory is needed") as refused:
+            write_text(path, "new")
+        assert refused.value.filename == str(blocking)
+    assert blocking.read_text() == "here"

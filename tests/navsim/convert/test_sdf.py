@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from same_view import assert_same_view, worlds
 
 import navsim
@@ -388,6 +389,21 @@ def test_a_mass_left_to_be_computed_is_density_times_volume(tmp_path):
     assert masses(with_mass(CAN, "<density>20</density>", auto)) == [pytest.approx(20 * volume, abs=1e-6)]
     own = with_mass(CAN, "<density>20</density>", auto).replace("<geometry>", "<density>40</density><geometry>")
     assert masses(own) == [pytest.approx(40 * volume, abs=1e-6)]
+
+
+@given(st.lists(st.integers(1_000_000, 4_000_000), min_size=4, max_size=4))
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_what_reaches_the_border_of_a_room_of_any_size_is_in_it(tmp_path, micrometres):
+    """Half of an odd number of micrometres must not be rounded out of the room."""
+    content = ""
+    for number, (value, (x, y)) in enumerate(zip(micrometres, ((-1, 0), (0, -1), (1, 0), (0, 1)), strict=True)):
+        tip = value * 1e-6  # of a wedge that points outwards
+        corners = [(tip * x, tip * y), *((x * (tip - 0.1) + s * y, y * (tip - 0.1) + s * x) for s in (-0.05, 0.05))]
+        points = "".join(f"<point>{px:.6f} {py:.6f}</point>" for px, py in corners)
+        shape = f"<geometry><polyline>{points}<height>1</height></polyline></geometry>"
+        content += model(link(shape), f"wedge {number}")
+    world, _ = load_sdf(world_file(tmp_path, content), room=Room(margin=0.0))
+    assert len(world.obstacles) == 4
 
 
 def test_a_pose_inside_a_model_is_not_relative_to_the_world(tmp_path):
